@@ -1,0 +1,1 @@
+"""Ground floor: arrays that are checked, frozen, scattered and differenced."""

@@ -1,0 +1,100 @@
+"""Input checks.  Every message names the argument, what came, and what was expected."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+def as_array(name: str, value: Any, shape: Sequence[int | None] | None = None) -> Array:
+    """A read-only float64 copy of `value`; `None` in `shape` leaves that axis free.
+
+    Raises ValueError naming the argument when the value is not numeric, not finite or of another shape.
+    """
+    try:
+        array = np.array(value, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"{name} must be numbers; got {value!r:.60}") from error
+    if shape is not None and not _fits(array.shape, shape):
+        raise ValueError(f"{name} must have shape {_shape_text(shape)}; got {array.shape}")
+    if not np.isfinite(array).all():
+        raise ValueError(f"{name} must be finite; got {_first(array, ~np.isfinite(array))}")
+    array.setflags(write=False)
+    return array
+
+
+def as_nonnegative(name: str, value: Any, shape: Sequence[int | None] | None = None) -> Array:
+    """`as_array`, and every entry >= 0."""
+    array = as_array(name, value, shape)
+    if (array < 0).any():
+        raise ValueError(f"{name} must be >= 0; got {_first(array, array < 0)}")
+    return array
+
+
+def as_positive(name: str, value: Any, shape: Sequence[int | None] | None = None) -> Array:
+    """`as_array`, and every entry > 0."""
+    array = as_array(name, value, shape)
+    if (array <= 0).any():
+        raise ValueError(f"{name} must be > 0; got {_first(array, array <= 0)}")
+    return array
+
+
+def as_step(h: Any) -> float:
+    """A step size: finite and > 0."""
+    return float(as_positive("h", h, ()))
+
+
+def as_count(name: str, value: Any, least: int = 0) -> int:
+    """A whole number >= `least`."""
+    try:
+        count = int(value)
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"{name} must be a whole number >= {least}; got {value!r:.60}") from error
+    if count != value or count < least:
+        raise ValueError(f"{name} must be a whole number >= {least}; got {value!r:.60}")
+    return count
+
+
+def as_pairs(name: str, value: Any) -> NDArray[np.int64]:
+    """(E,2) point indices, each >= 0 and no pair joining a point to itself."""
+    pairs = np.array(value)
+    if pairs.size == 0:
+        pairs = np.empty((0, 2), dtype=np.int64)
+    if pairs.ndim != 2 or pairs.shape[1] != 2 or not np.issubdtype(pairs.dtype, np.integer):
+        raise ValueError(f"{name} must be whole numbers of shape (E, 2); got {pairs.dtype} {pairs.shape}")
+    loops = pairs[:, 0] == pairs[:, 1]
+    if loops.any():
+        row = int(np.flatnonzero(loops)[0])
+        raise ValueError(f"{name} must join two different points; got {tuple(pairs[row].tolist())} at row {row}")
+    if (pairs < 0).any():
+        row = int(np.flatnonzero((pairs < 0).any(axis=1))[0])
+        raise ValueError(f"{name} must be indices >= 0; got {tuple(pairs[row].tolist())} at row {row}")
+    pairs = pairs.astype(np.int64)
+    pairs.setflags(write=False)
+    return pairs
+
+
+def check_indices(name: str, indices: NDArray[np.int64], count: int) -> None:
+    """Every index below `count`."""
+    if indices.size and int(indices.max()) >= count:
+        raise ValueError(f"{name} must be indices below {count}, the number of points; got {int(indices.max())}")
+
+
+def _fits(shape: tuple[int, ...], expected: Sequence[int | None]) -> bool:
+    return len(shape) == len(expected) and all(e is None or s == e for s, e in zip(shape, expected, strict=True))
+
+
+def _shape_text(shape: Sequence[int | None]) -> str:
+    return "(" + ", ".join("any" if s is None else str(s) for s in shape) + ("," if len(shape) == 1 else "") + ")"
+
+
+def _first(array: Array, bad: NDArray[np.bool_]) -> str:
+    if array.ndim == 0:
+        return str(array)
+    where = tuple(int(i) for i in np.argwhere(bad)[0])
+    return f"{array[where]} at index {where[0] if len(where) == 1 else where}"
