@@ -1,1 +1,52 @@
-"""dsim: differentiable simulation you can read, teach from and check your own code against."""
+"""dsim: differentiable simulation you can read, teach from and check your own code against.
+
+    A step is a residual; a gradient is its linearization.
+
+`import dsim` loads NumPy alone; every name below loads its module when it is first used.
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from dsim.gradients import Gradient as Gradient
+    from dsim.gradients import adjoint as adjoint
+    from dsim.simulation import SimulationError as SimulationError
+    from dsim.simulation import Trajectory as Trajectory
+    from dsim.simulation import simulate as simulate
+    from dsim.solve import Status as Status
+    from dsim.solve import newton as newton
+    from dsim.system import Flow as Flow
+    from dsim.system import System as System
+
+__version__ = "0.1.0"
+
+_HOMES = {
+    "Flow": "dsim.system",
+    "Gradient": "dsim.gradients",
+    "SimulationError": "dsim.simulation",
+    "Status": "dsim.solve",
+    "System": "dsim.system",
+    "Trajectory": "dsim.simulation",
+    "adjoint": "dsim.gradients",
+    "newton": "dsim.solve",
+    "simulate": "dsim.simulation",
+}
+_MODULES = {"catalog", "effects", "gradients", "kernels", "pictures", "scenes", "simulation", "solve", "steppers",
+            "strategies", "studies", "system"}  # fmt: skip
+
+__all__ = sorted(_HOMES)
+
+
+def __getattr__(name: str) -> Any:
+    if name in _HOMES:
+        return getattr(importlib.import_module(_HOMES[name]), name)
+    if name in _MODULES:
+        return importlib.import_module(f"dsim.{name}")
+    raise AttributeError(f"module 'dsim' has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *_HOMES, *_MODULES})

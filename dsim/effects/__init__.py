@@ -1,0 +1,11 @@
+"""The lecture's "force objects".  An effect describes a force; `System` binds it to its points once."""
+
+from dsim.effects.actuation import Actuation
+from dsim.effects.drag import Drag
+from dsim.effects.effect import Effect
+from dsim.effects.field import Field
+from dsim.effects.gravity import Gravity
+from dsim.effects.spring_damping import SpringDamping
+from dsim.effects.springs import Springs
+
+__all__ = ["Actuation", "Drag", "Effect", "Field", "Gravity", "SpringDamping", "Springs"]

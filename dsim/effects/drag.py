@@ -1,0 +1,140 @@
+"""Drag and wind  f = -c (v - v_air).  Lecture: "Particle system"."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from dsim.arrays.checks import Array, as_array, as_nonnegative
+from dsim.arrays.frozen import replace
+from dsim.arrays.scatter import block_diagonal, pointwise_jacobian
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
+
+Wind = Callable[[float, Array], Any]
+
+
+@dataclass(frozen=True, eq=False)
+class Drag:
+    """f_i = -c_i (v_i - wind(t, x_i)).
+
+    coefficient: c, a number or (N,), kg/s.  wind: None for still air, (d,) m/s, or a callable
+    (t, x (N,d)) -> (N,d) in which point i depends on x_i alone.  wind_jacobian: its derivative
+    (t, x) -> (N,d,d); without one it is differenced (nine to ten digits), and `differenced` says so.
+    """
+
+    coefficient: Array
+    wind: Array | Wind | None = None
+    wind_jacobian: Wind | None = None
+    name: str = "drag"
+    points: int = 0  # set by bind
+    dimension: int = 0
+
+    def __post_init__(self) -> None:
+        coefficient = as_nonnegative("coefficient", self.coefficient)
+        if coefficient.ndim > 1:
+            raise ValueError(f"coefficient must be a number or (N,); got shape {coefficient.shape}")
+        object.__setattr__(self, "coefficient", coefficient)
+        if self.wind is not None and not callable(self.wind):
+            object.__setattr__(self, "wind", as_array("wind", self.wind, (None,)))
+
+    @property
+    def differenced(self) -> bool:
+        """True when the wind's derivative in place comes from finite differences."""
+        return callable(self.wind) and self.wind_jacobian is None
+
+    @property
+    def symmetric(self) -> bool:
+        return not callable(self.wind)
+
+    @property
+    def parameters(self) -> tuple[str, ...]:
+        return ("coefficient", "wind") if isinstance(self.wind, np.ndarray) else ("coefficient",)
+
+    def bind(self, mass: Array, dimension: int) -> Drag:
+        if self.coefficient.ndim:
+            as_array("coefficient", self.coefficient, (len(mass),))
+        if isinstance(self.wind, np.ndarray):
+            as_array("wind", self.wind, (dimension,))
+        return replace(self, points=len(mass), dimension=dimension)
+
+    def _slip(self, t: float, q: Array, v: Array) -> Array:
+        """v - v_air, (N,d)."""
+        velocity = v.reshape(self.points, self.dimension)
+        if self.wind is None:
+            return velocity
+        if not callable(self.wind):
+            return velocity - self.wind
+        air = np.asarray(self.wind(t, q.reshape(velocity.shape)), dtype=float)
+        if air.shape not in (velocity.shape, (self.dimension,)):
+            raise ValueError(f"wind must return shape {velocity.shape}; got {air.shape}")
+        return velocity - air
+
+    def _per_dof(self) -> Array:
+        """The coefficient of every degree of freedom, (n,)."""
+        return np.repeat(np.broadcast_to(self.coefficient, self.points), self.dimension)
+
+    def force(self, t: float, q: Array, v: Array) -> Array:
+        return -self._per_dof() * self._slip(t, q, v).ravel()
+
+    @property
+    def dq(self) -> Callable[[float, Array, Array], csr_array] | None:
+        """c dwind/dx; structurally zero unless the wind depends on place."""
+        return self._dq if callable(self.wind) else None
+
+    def _wind_blocks(self, t: float, q: Array) -> Array:
+        x = q.reshape(self.points, self.dimension)
+        wind, jacobian = self.wind, self.wind_jacobian
+        assert callable(wind)
+        if jacobian is None:
+
+            def everywhere(place: Array) -> Array:  # a uniform (d,) answer serves every point
+                return np.broadcast_to(np.asarray(wind(t, place), dtype=float), x.shape)
+
+            return pointwise_jacobian(everywhere, x)
+        return as_array("wind_jacobian", jacobian(t, x), (self.points, self.dimension, self.dimension))
+
+    def _dq(self, t: float, q: Array, v: Array) -> csr_array:
+        c = np.broadcast_to(self.coefficient, self.points)
+        return block_diagonal(c[:, None, None] * self._wind_blocks(t, q))
+
+    def dv(self, t: float, q: Array, v: Array) -> csr_array:
+        from scipy.sparse import csr_array, diags_array
+
+        return csr_array(diags_array(-self._per_dof()))
+
+    def dtheta(self, t: float, q: Array, v: Array) -> csr_array:
+        from scipy.sparse import csr_array
+
+        slip = self._slip(t, q, v)
+        columns = [-slip.reshape(-1, 1)]
+        if self.coefficient.ndim:
+            columns = [np.asarray(block_columns(-slip))]
+        if isinstance(self.wind, np.ndarray):
+            c = np.broadcast_to(self.coefficient, self.points)
+            columns.append(np.kron(c[:, None], np.eye(self.dimension)))
+        return csr_array(np.hstack(columns))
+
+    def vjp(self, t: float, q: Array, v: Array, w: Array) -> tuple[Array | float, Array, Array]:
+        c = self._per_dof()
+        by_q: Array | float = 0.0
+        if callable(self.wind):
+            per_point = (c * w).reshape(self.points, self.dimension)
+            by_q = np.einsum("nij,ni->nj", self._wind_blocks(t, q), per_point).ravel()
+        by_point = -np.einsum("nd,nd->n", self._slip(t, q, v), w.reshape(self.points, -1))
+        theta = [by_point if self.coefficient.ndim else np.array([by_point.sum()])]
+        if isinstance(self.wind, np.ndarray):
+            theta.append((c * w).reshape(self.points, -1).sum(axis=0))
+        return by_q, -c * w, np.concatenate(theta)
+
+
+def block_columns(values: Array) -> Array:
+    """(N,d) -> (N d, N): the values of point i in column i."""
+    points, d = values.shape
+    out = np.zeros((points, d, points))
+    out[np.arange(points), :, np.arange(points)] = values
+    return out.reshape(points * d, points)

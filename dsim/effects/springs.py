@@ -1,0 +1,82 @@
+"""Springs  U = k/2 (|x_ij| - l0)^2.  Lecture: "Mass-spring systems"."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dsim.arrays.checks import Array, as_nonnegative, as_pairs, check_indices
+from dsim.arrays.frozen import replace
+from dsim.arrays.scatter import ElementScatter
+from dsim.kernels.spring import SPRING, both_ends, directions, slackness
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
+
+
+@dataclass(frozen=True, eq=False)
+class Springs:
+    """The force of E springs, f = -dU/dx.  pairs (E,2), rest_length (E,) m, stiffness (E,) N/m (numbers broadcast)."""
+
+    pairs: NDArray[np.int64]
+    rest_length: Array
+    stiffness: Array
+    name: str = "springs"
+    parameters = ("rest_length", "stiffness")
+    symmetric = True
+    scatter: ElementScatter | None = field(default=None, repr=False)  # set by bind
+
+    def __post_init__(self) -> None:
+        pairs = as_pairs("pairs", self.pairs)
+        object.__setattr__(self, "pairs", pairs)
+        for label in self.parameters:
+            object.__setattr__(self, label, per_element(label, getattr(self, label), len(pairs)))
+
+    def bind(self, mass: Array, dimension: int) -> Springs:
+        check_indices("pairs", self.pairs, len(mass))
+        return replace(self, scatter=ElementScatter(self.pairs, len(mass), dimension))
+
+    def _elements(self, q: Array) -> tuple[ElementScatter, Array, Array]:
+        assert self.scatter is not None
+        return self.scatter, self.scatter.gather(q), np.stack([self.rest_length, self.stiffness], axis=1)
+
+    def force(self, t: float, q: Array, v: Array) -> Array:
+        scatter, x, theta = self._elements(q)
+        return -scatter.vector(SPRING.gradient(x, theta))
+
+    def energy(self, t: float, q: Array) -> float:
+        _, x, theta = self._elements(q)
+        return float(SPRING.energy(x, theta).sum())
+
+    def dq(self, t: float, q: Array, v: Array) -> csr_array:
+        scatter, x, theta = self._elements(q)
+        return -scatter.matrix(SPRING.hessian(x, theta))
+
+    def dtheta(self, t: float, q: Array, v: Array) -> csr_array:
+        scatter, x, theta = self._elements(q)
+        return -scatter.mixed(SPRING.mixed(x, theta))
+
+    def vjp(self, t: float, q: Array, v: Array, w: Array) -> tuple[Array, float, Array]:
+        """Per spring: H u = k [ (1 - l0/l) u + l0/l n (n.u) ] with u = w_j - w_i, no matrix."""
+        scatter, x, _ = self._elements(q)
+        length, n = directions(x[:, 1] - x[:, 0])
+        ends = scatter.gather(w)
+        u = ends[:, 1] - ends[:, 0]
+        along = np.einsum("ed,ed->e", n, u)
+        slack = slackness(length, self.rest_length)
+        push = (self.stiffness * (1 - slack))[:, None] * u + (self.stiffness * slack * along)[:, None] * n
+        theta = np.concatenate([self.stiffness * along, -(length - self.rest_length) * along])
+        return -scatter.vector(both_ends(push)), 0.0, theta
+
+
+def per_element(label: str, value: Array, count: int) -> Array:
+    """A number or (E,) -> (E,), each >= 0; the message names the spring."""
+    array = as_nonnegative(label, value)
+    if array.ndim and array.shape != (count,):
+        raise ValueError(f"{label} must be a number or have shape ({count},), one a pair; got {array.shape}")
+    array = np.array(np.broadcast_to(array, count))
+    array.setflags(write=False)
+    return array

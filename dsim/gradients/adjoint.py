@@ -1,0 +1,43 @@
+"""The discrete adjoint.  Lecture: "(Discrete) adjoint method"."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from dsim.arrays.checks import Array, as_array
+from dsim.simulation import Trajectory
+
+
+@dataclass(frozen=True, eq=False)
+class Gradient:
+    """dJ/dy0 (ny,) and dJ/dtheta (P,); `gradient["springs.stiffness"]` is the part of one parameter."""
+
+    y0: Array
+    theta: Array
+    parts: dict[str, Array] = field(repr=False)
+
+    def __getitem__(self, name: str) -> Array:
+        if name not in self.parts:
+            raise KeyError(f"no parameter is called {name!r}; this system has {', '.join(self.parts)}")
+        return self.parts[name]
+
+
+def adjoint(trajectory: Trajectory, dJdy: Any) -> Gradient:
+    """The gradient of J(y_0, ..., y_N) from dJdy (N+1,ny), its derivative by every state.
+
+    mu_N = dJ/dy_N, then backward  mu_n = dJ/dy_n + (dy_{n+1}/dy_n)^T mu_{n+1}: the cost does not depend on the
+    number of parameters.  Raises ValueError on a wrong shape or a trajectory without its system.
+    """
+    stepper, system = trajectory.attached()
+    dJdy = as_array("dJdy", dJdy, trajectory.y.shape)
+    mu = np.zeros(stepper.history * system.size)
+    theta_bar = np.zeros(system.parameter_count)
+    for n in range(len(trajectory.t) - 2, -1, -1):
+        mu[: system.size] += dJdy[n + 1]
+        mu = stepper.linearize(system, trajectory.step(n)).pullback(mu, theta_bar)
+    if stepper.history > 1:
+        mu = stepper.linearize(system, trajectory.start()).pullback(mu, theta_bar)
+    return Gradient(mu + dJdy[0], theta_bar, system.split(theta_bar))

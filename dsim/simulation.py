@@ -1,0 +1,176 @@
+"""Running a stepper: `simulate`, and what it returns."""
+
+from __future__ import annotations
+
+import io
+import os
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from dsim.arrays.checks import Array, as_array, as_count, as_step
+from dsim.solve.newton import Status
+from dsim.steppers.stepper import Counters, Ode, Step, Stepper
+
+Keep = Literal["states", "steps"]
+
+
+class SimulationError(RuntimeError):
+    """A run that could not go on.  `trajectory` holds the steps that were completed, `status` says why it ended."""
+
+    def __init__(self, message: str, trajectory: Trajectory) -> None:
+        super().__init__(message)
+        self.trajectory = trajectory
+        self.status = trajectory.status
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectory:
+    """States at t_0, ..., t_N.  t (N+1,) s, y (N+1,ny).
+
+    status: `converged`, or why the step after the last row failed.  counters: what the run cost.
+    steps: every Step, when the run kept them; otherwise `step(n)` makes one from the states.
+    """
+
+    stepper: Stepper | None
+    system: Ode | None
+    h: float
+    t: Array
+    y: Array
+    status: Status = Status.CONVERGED
+    counters: Counters = Counters()
+    steps: tuple[Step, ...] | None = None
+
+    @property
+    def n(self) -> int:
+        if self.system is None:
+            return self.y.shape[1] // 2
+        return self.system.n
+
+    @property
+    def q(self) -> Array:
+        """Positions (N+1,n); the whole state of a flow."""
+        return self.y[:, : self.n]
+
+    @property
+    def v(self) -> Array:
+        """Velocities (N+1,n); empty for a flow."""
+        return self.y[:, self.n :]
+
+    def attached(self) -> tuple[Stepper, Ode]:
+        """The stepper and the system, or ValueError for a trajectory loaded without them."""
+        if self.stepper is None or self.system is None:
+            raise ValueError("this trajectory has no system: load it with Trajectory.load(path, stepper, system)")
+        return self.stepper, self.system
+
+    def step(self, n: int) -> Step:
+        """The step from t_n to t_{n+1}, with its history."""
+        if self.steps is not None:
+            return self.steps[n]
+        return Step(float(self.t[n]), self.h, self._state(n), self._state(n + 1))
+
+    def start(self) -> Step:
+        """The step that made the first state's past."""
+        stepper, system = self.attached()
+        return stepper.start(system, float(self.t[0]), self.y[0], self.h)
+
+    def _state(self, n: int) -> Array:
+        stepper, _ = self.attached()
+        if stepper.history == 1:
+            return self.y[n]
+        return np.concatenate([self.y[n], self.y[n - 1]]) if n else self.start().y1
+
+    def save(self, path: str | Path) -> None:
+        """Write t, y, h, status and counters as `.npz`: to a temporary file first, then renamed."""
+        path = Path(path)
+        temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+        data = io.BytesIO()
+        np.savez_compressed(
+            data, t=self.t, y=self.y, h=self.h, status=str(self.status), n=self.n,
+            **{f"counter_{name}": value for name, value in asdict(self.counters).items()},
+        )  # fmt: skip
+        try:
+            temporary.write_bytes(data.getvalue())
+            os.replace(temporary, path)
+        finally:
+            temporary.unlink(missing_ok=True)
+
+    @classmethod
+    def load(cls, path: str | Path, stepper: Stepper | None = None, system: Ode | None = None) -> Trajectory:
+        """Read what `save` wrote.  Give the stepper and the system again to differentiate the trajectory."""
+        try:
+            with np.load(path, allow_pickle=False) as data:
+                values = {name: data[name] for name in data.files}
+            counters = Counters(**{k[8:]: int(v) for k, v in values.items() if k.startswith("counter_")})
+            y, t = values["y"], values["t"]
+            if system is not None and y.shape[1] != system.size:
+                raise ValueError(f"path must hold states of size {system.size}; {path} has {y.shape[1]}")
+            return cls(stepper, system, float(values["h"]), t, y, Status(str(values["status"])), counters)
+        except FileNotFoundError:
+            raise
+        except (KeyError, OSError, EOFError, TypeError) as error:
+            raise ValueError(f"path must be a trajectory written by save; {path} is not ({error})") from error
+        except ValueError as error:
+            if "must hold states" in str(error):
+                raise
+            raise ValueError(f"path must be a trajectory written by save; {path} is not ({error})") from error
+
+
+def simulate(stepper: Stepper, system: Ode, y0: Any, h: float, steps: int, keep: Keep = "states") -> Trajectory:
+    """Take `steps` steps of size h from y0 at t = 0.
+
+    y0 (ny,) = [q, v]; pinned points do not move, whatever their velocity in y0.  keep: "states" for `.y` alone,
+    "steps" for every Step too, which saves the adjoint a force evaluation a step.
+    Raises ValueError on bad input, SimulationError (with the completed part) at a step that fails.
+
+    >>> import numpy as np
+    >>> from dsim.effects import Gravity
+    >>> from dsim.steppers import SymplecticEuler
+    >>> from dsim.system import System
+    >>> ball = System(mass=[1.0], effects=[Gravity([0.0, -10.0])], dimension=2)
+    >>> simulate(SymplecticEuler(), ball, [0, 0, 3, 10], h=0.5, steps=2).y[-1].tolist()
+    [3.0, 2.5, 3.0, 0.0]
+    """
+    trajectory = record(stepper, system, y0, h, steps, keep)
+    if trajectory.status is not Status.CONVERGED:
+        raise SimulationError(_explain(trajectory), trajectory)
+    return trajectory
+
+
+def record(stepper: Stepper, system: Ode, y0: Any, h: float, steps: int, keep: Keep = "states") -> Trajectory:
+    """`simulate`, but a failed step ends the trajectory with its status instead of raising."""
+    y0 = as_array("y0", y0, (system.size,))
+    h, steps = as_step(h), as_count("steps", steps)
+    if keep not in ("states", "steps"):
+        raise ValueError(f'keep must be "states" or "steps"; got {keep!r}')
+    y = np.empty((steps + 1, system.size))
+    y[0] = y0
+    taken: list[Step] = []
+    done = 0
+    with np.errstate(over="ignore", invalid="ignore"):
+        start = stepper.start(system, 0.0, y0, h)
+        state, counters, status = start.y1, start.counters, start.status
+        while done < steps and status is Status.CONVERGED:
+            step = stepper.step(system, done * h, state, h)
+            state, counters, status = step.y1, counters + step.counters, step.status
+            if status is Status.CONVERGED:
+                done += 1
+                y[done] = state[: system.size]
+                if keep == "steps":
+                    taken.append(step)
+    kept = tuple(taken) if keep == "steps" else None
+    return Trajectory(stepper, system, h, h * np.arange(done + 1), y[: done + 1], status, counters, kept)
+
+
+def _explain(trajectory: Trajectory) -> str:
+    n = len(trajectory.t) - 1
+    name = type(trajectory.stepper).__name__
+    advice = {
+        Status.NOT_FINITE: "the state overflowed; use a smaller h or an implicit stepper",
+        Status.MAX_ITERATIONS: "Newton did not converge; use a smaller h, globalize='energy' or more max_iterations",
+        Status.LINE_SEARCH_FAILED: "no step length lowered the residual; use globalize='energy' or a smaller h",
+        Status.SINGULAR: "Newton's matrix has no inverse; the state is at a fold, or h is too large",
+    }[trajectory.status]
+    return f"{name} failed in step {n} (t = {n * trajectory.h:.6g}): {trajectory.status}; {advice}"

@@ -1,0 +1,141 @@
+"""Linear systems: one factorization, solved with the matrix and with its transpose."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, Protocol
+
+import numpy as np
+
+from dsim.arrays.checks import Array
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
+
+    Matrix = Array | csr_array
+
+# Below this size a dense LU beats the sparse one, index work included.
+DENSE_SIZE = 128
+
+
+class SingularMatrixError(ArithmeticError):
+    """The matrix has no inverse to working precision."""
+
+
+class Factor(Protocol):
+    """A factorization A = L U, or the like."""
+
+    def solve(self, b: Array) -> Array:
+        """A^-1 b."""
+        ...
+
+    def solve_transposed(self, b: Array) -> Array:
+        """A^-T b."""
+        ...
+
+
+class DenseFactor:
+    """LU with partial pivoting (LAPACK)."""
+
+    def __init__(self, matrix: Array) -> None:
+        import warnings
+
+        from scipy.linalg import LinAlgWarning, lapack, lu_factor
+
+        if not np.isfinite(matrix).all():
+            raise SingularMatrixError("the matrix is not finite")
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", LinAlgWarning)
+            self._lu, self._pivots = lu_factor(matrix, check_finite=False)
+        reciprocal_condition = lapack.dgecon(self._lu, np.abs(matrix).sum(axis=0).max())[0] if matrix.size else 1.0
+        if not reciprocal_condition > np.finfo(float).eps:
+            raise SingularMatrixError(f"reciprocal condition {reciprocal_condition:.1e}")
+
+    def solve(self, b: Array) -> Array:
+        return self._back_solve(b, 0)
+
+    def solve_transposed(self, b: Array) -> Array:
+        return self._back_solve(b, 1)
+
+    def _back_solve(self, b: Array, transposed: int) -> Array:
+        from scipy.linalg import lu_solve
+
+        x: Array = lu_solve((self._lu, self._pivots), b, trans=transposed, check_finite=False)
+        return x
+
+
+class SparseFactor:
+    """LU of SuperLU."""
+
+    def __init__(self, matrix: csr_array) -> None:
+        from scipy.sparse.linalg import splu
+
+        if not np.isfinite(matrix.data).all():
+            raise SingularMatrixError("the matrix is not finite")
+        try:
+            self._lu = splu(matrix.tocsc())
+        except RuntimeError as error:  # SuperLU's "Factor is exactly singular"
+            raise SingularMatrixError(str(error)) from error
+        pivots = np.abs(self._lu.U.diagonal())
+        if not pivots.min() > np.finfo(float).eps * pivots.max() * 1e-3:
+            raise SingularMatrixError(f"pivots from {pivots.min():.1e} to {pivots.max():.1e}")
+
+    def solve(self, b: Array) -> Array:
+        x: Array = self._lu.solve(b)
+        return x
+
+    def solve_transposed(self, b: Array) -> Array:
+        x: Array = self._lu.solve(b, trans="T")
+        return x
+
+
+def factorize(matrix: Matrix) -> Factor:
+    """Factorize a square matrix, dense or sparse.  Raises SingularMatrixError."""
+    if isinstance(matrix, np.ndarray):
+        return DenseFactor(matrix)
+    if matrix.shape[0] <= DENSE_SIZE:
+        return DenseFactor(matrix.toarray())
+    return SparseFactor(matrix)
+
+
+def make_definite(matrix: Matrix) -> Matrix:
+    """The matrix itself when it is positive definite, else a positive definite one close to it.
+
+    Dense: eigenvalues below a floor are replaced by their absolute value or the floor.  Sparse: the
+    diagonal is raised, eightfold each try, until an LDL^T without pivoting has positive pivots only.
+    Only Newton's search direction may use this; a linearization never does.
+    """
+    if not isinstance(matrix, np.ndarray) and matrix.shape[0] <= DENSE_SIZE:
+        matrix = matrix.toarray()
+    if isinstance(matrix, np.ndarray):
+        symmetric = 0.5 * (matrix + matrix.T)
+        values, vectors = np.linalg.eigh(symmetric)
+        floor = 1e-8 * max(float(np.abs(values).max(initial=0.0)), np.finfo(float).tiny)
+        if values.min(initial=np.inf) > floor:
+            return symmetric
+        definite: Array = (vectors * np.maximum(np.abs(values), floor)) @ vectors.T
+        return definite
+    return _raise_diagonal(matrix)
+
+
+def _raise_diagonal(matrix: csr_array) -> csr_array:
+    from scipy.sparse import csr_array, diags_array
+
+    diagonal = np.abs(matrix.diagonal())
+    scale = np.maximum(diagonal, 1e-8 * diagonal.max())
+    shift = 0.0
+    while not _has_positive_pivots(csr_array(matrix + shift * diags_array(scale))):
+        shift = max(8.0 * shift, 1e-3)
+    return csr_array(matrix + shift * diags_array(scale))
+
+
+def _has_positive_pivots(matrix: csr_array) -> bool:
+    """Sylvester's law: an LDL^T without row exchanges has as many negative pivots as the matrix eigenvalues."""
+    from scipy.sparse.linalg import splu
+
+    options = {"SymmetricMode": True}
+    try:
+        lu: Any = splu(matrix.tocsc(), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=options)
+    except RuntimeError:
+        return False
+    kept_diagonal = bool((lu.perm_r == lu.perm_c).all())
+    return kept_diagonal and bool((lu.U.diagonal() > 0).all())

@@ -1,0 +1,411 @@
+"""From a rule, the formula of the notes, to a stepper that is solved, linearized and transposed.
+
+A method states its rule once, with the subscripts of the notes as indices, y[0] = y_n and y[1] = y_{n+1}:
+
+    def rule(self, y, phi, t, h):                     # a first-order method: dy/dt = phi(t, y)
+        return y[0] + h * phi(t + h, y[1])
+
+    def rule(self, q, v, a, t, h):                    # a second-order method: dv/dt = a(t, q, v)
+        v1 = v[0] + h * a(t, q[0], v[0])
+        return q[0] + h * v1, v1
+
+The residual is R = y1 - rule.  Run on arrays the rule takes the step; run on symbols (`tableau`) it gives the
+coefficients from which the Newton matrix, A, B, C, the tangent and the pullback follow.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+
+from dsim.arrays.checks import Array, as_positive
+from dsim.solve.linear import Factor, factorize
+from dsim.solve.newton import NewtonResult, Status, newton
+from dsim.steppers.stepper import Counters, Ode, Step, check_state
+from dsim.steppers.tableau import Stage, Symbol, Tableau, combine, eliminate, record, self_weights
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
+
+Values = dict[Symbol, Array]
+
+
+@dataclass(frozen=True)
+class RuleStepper:
+    """A stepper given by its rule.  Subclasses state `order`, `form` (1 or 2) and `rule`; two-step methods also
+    `history = 2` and `past`, the rule for the state one step before the start."""
+
+    order = 0
+    form = 1  # the order of the differential equation the rule is written for
+    history = 1
+    implicit = False
+
+    def rule(self, *arguments: Any) -> Any:
+        raise NotImplementedError(f"{type(self).__name__} must state its rule")
+
+    def past(self, y: Any, phi: Any, t: float, h: float) -> Any:
+        """A made-up y_{-1}: one explicit step backward, for two-step methods."""
+        return y[0] - h * phi(t, y[0])
+
+    def start(self, system: Ode, t: float, y0: Array, h: float) -> Step:
+        y0 = check_state(y0, system.size, 1)
+        if self.history == 1:
+            return Step(t, h, y0, y0, rates=())
+        system = system.at(t, y0, h)
+        before, rates = _explicit(self.past, 1, system, t, {0: y0}, h)
+        y1 = np.concatenate([y0, before])
+        return Step(t, h, y0, y1, counters=Counters(forces=len(rates)), rates=tuple(rates))
+
+    def step(self, system: Ode, t: float, y0: Array, h: float) -> Step:
+        _check_form(self, system)
+        y0 = check_state(y0, system.size, self.history)
+        system = system.at(t, y0[: system.size], h)
+        states = _states(system, y0)
+        if self.implicit:
+            y1, rates, status, counters = _implicit(self, system, t, states, h)
+        else:
+            y1, rates = _explicit(self.rule, self.form, system, t, states, h)
+            status = Status.CONVERGED if np.isfinite(y1).all() else Status.NOT_FINITE
+            counters = Counters(forces=len(rates))
+        return Step(t, h, y0, _with_history(y1, y0, self.history), status, counters, tuple(rates))
+
+    def residual(self, system: Ode, step: Step) -> Array:
+        system = system.at(step.t, step.y0[: system.size], step.h)
+        states = _states(system, step.y0) | {1: step.unknowns[: system.size]}
+        told, _ = _explicit(self.rule, self.form, system, step.t, states, step.h)
+        return step.unknowns - _with_history(told, step.y0, self.history)
+
+    def linearize(self, system: Ode, step: Step) -> RuleLinearization:
+        starting = step.y0.size < step.y1.size  # the step that `start` took
+        rule, form = (self.past, 1) if starting else (self.rule, self.form)
+        kept = (0,) if starting else (0,) * (self.history - 1)
+        frozen = system.at(step.t, step.y0[: system.size], step.h)
+        return RuleLinearization(frozen, step, rule, form, kept)
+
+
+@dataclass(frozen=True)
+class ImplicitRuleStepper(RuleStepper):
+    """A rule that asks for a rate at the new state, found by Newton.
+
+    tol: bound on Newton's last correction of the velocity (of y, for a flow), relative to the largest velocity;
+    what moves positions by less than their own round-off counts as nothing.  globalize: "none", "line_search" on the
+    residual, or "energy": descent of the incremental potential where every effect has an energy, else as "line_search".
+    """
+
+    tol: float = 1e-10
+    globalize: Literal["none", "line_search", "energy"] = "line_search"
+    max_iterations: int = 50
+
+    implicit = True
+
+    def __post_init__(self) -> None:
+        as_positive("tol", self.tol, ())
+        if self.globalize not in ("none", "line_search", "energy"):
+            raise ValueError(f'globalize must be "none", "line_search" or "energy"; got {self.globalize!r}')
+
+
+@lru_cache(maxsize=256)
+def _tableau(rule: Any, form: int, components: int, h: float, eliminated: bool) -> Tableau:
+    tableau = record(rule, form, components, h)
+    return eliminate(tableau) if eliminated else tableau
+
+
+def _check_form(stepper: RuleStepper, system: Ode) -> None:
+    if stepper.form > system.components:
+        raise ValueError(
+            f"{type(stepper).__name__} needs a second-order System; got a {type(system).__name__} "
+            "(use ForwardEuler, BackwardEuler, ImplicitMidpoint, Trapezoidal, BDF2 or RK4)"
+        )
+
+
+def _states(system: Ode, y0: Array) -> dict[int, Array]:
+    """{0: y_n, -1: y_{n-1}} from a state with its history."""
+    return {-place: y for place, y in enumerate(y0.reshape(-1, system.size))}
+
+
+def _with_history(y1: Array, y0: Array, history: int) -> Array:
+    return y1 if history == 1 else np.concatenate([y1, y0[: y1.size]])
+
+
+def _explicit(
+    rule: Any, form: int, system: Ode, t: float, states: Mapping[int, Array], h: float
+) -> tuple[Array, list[Array]]:
+    """The rule on arrays: the new state it tells, and the rates it asked for."""
+    rates: list[Array] = []
+
+    def rate(t: float, *place: Array) -> Array:
+        rates.append(system.rate(t, *place))
+        return rates[-1]
+
+    blocks = {n: system.blocks(y) for n, y in states.items()}
+    if form == 2:
+        q, v = ({n: block[c] for n, block in blocks.items()} for c in (0, 1))
+        return np.concatenate(rule(q, v, rate, t, h)), rates
+
+    def flow(t: float, y: Array) -> Array:
+        place = system.blocks(y)
+        return np.concatenate([*place[1:], rate(t, *place)])
+
+    whole = {n: np.concatenate(block) for n, block in blocks.items()}
+    return rule(whole, flow, t, h), rates
+
+
+def _values(system: Ode, states: Mapping[int, Array]) -> Values:
+    return {("y", n, c): block for n, y in states.items() for c, block in enumerate(system.blocks(y))}
+
+
+def _arguments(stage: Stage, values: Values, n: int) -> tuple[Array, ...]:
+    return tuple(np.zeros(n) + combine(part, values) for part in stage.arguments)
+
+
+def _implicit(
+    stepper: Any, system: Ode, t: float, states: Mapping[int, Array], h: float
+) -> tuple[Array, list[Array], Status, Counters]:
+    """Stage after stage: evaluated where explicit, solved by Newton where it depends on its own rate."""
+    tableau = _tableau(stepper.rule, stepper.form, system.components, h, True)
+    values, counters = _values(system, states), Counters()
+    rates: list[Array] = []
+    status = Status.CONVERGED
+    for number, stage in enumerate(tableau.stages):
+        place, weights = _arguments(stage, values, system.n), self_weights(stage, number)
+        if any(weights):
+            result = _solve_stage(stepper, system, t + stage.offset, place, weights)
+            k, status, counters = result.z, result.status, counters + _cost(result)
+        else:
+            k, counters = system.rate(t + stage.offset, *place), counters + Counters(forces=1)
+        rates.append(k)
+        values["k", number, 0] = k
+        if status is not Status.CONVERGED:
+            break
+    y1 = np.concatenate([np.zeros(system.n) + combine(part, values) for part in tableau.outcome])
+    if not np.isfinite(y1).all():
+        status = Status.NOT_FINITE
+    return y1, rates, status, counters
+
+
+def _solve_stage(
+    stepper: Any, system: Any, t: float, base: tuple[Array, ...], weights: tuple[float, ...]
+) -> NewtonResult:
+    """k with  M k = f(t, base + weights k).  The guess k = 0 is the step of a free flight."""
+
+    def place(k: Array) -> tuple[Array, ...]:
+        return tuple(b + w * k for b, w in zip(base, weights, strict=True))
+
+    def size(dk: Array, k: Array) -> float:
+        gamma, largest = weights[-1], np.abs(place(k)[-1]).max()
+        moved = abs(gamma) * np.abs(dk).max()
+        rounding = 0.0
+        if len(base) == 2:  # velocities below the round-off of positions, eps |q| / gamma
+            rounding = 4 * np.finfo(float).eps * np.abs(base[0]).max() / abs(gamma)
+        return 0.0 if moved <= rounding else float(moved / max(largest, np.finfo(float).tiny))
+
+    descent = system.stage_energy(t, weights) if stepper.globalize == "energy" else None
+    globalize: Any = (lambda k: descent(k, place(k)[0])) if descent else stepper.globalize
+    return newton(
+        lambda k: system.stage_residual(k, t, *place(k)),
+        lambda k: system.stage_matrix(t, place(k), weights),
+        np.zeros(system.n),
+        tol=stepper.tol,
+        globalize="line_search" if globalize == "energy" else globalize,
+        max_iterations=stepper.max_iterations,
+        size=size,
+    )
+
+
+def _cost(result: NewtonResult) -> Counters:
+    n = result.iterations
+    return Counters(result.evaluations, n, n, n, n)
+
+
+class RuleLinearization:
+    """The linearization of one step.  `tangent` and `pullback` eliminate the new state stage by stage and solve
+    with M - c D - b K; A, B and C are the plain definition, which the tests hold against them."""
+
+    def __init__(self, system: Ode, step: Step, rule: Any, form: int, kept: tuple[int, ...]) -> None:
+        self.system, self.step, self.kept = system, step, kept
+        self._rule, self._form = rule, form
+        self.tableau = _tableau(rule, form, system.components, step.h, True)
+        self.values = _values(system, _states(system, step.y0))
+        for number, k in enumerate(self._rates()):
+            self.values["k", number, 0] = k
+        self._factors: dict[int, Factor] = {}
+
+    def _rates(self) -> list[Array]:
+        """The stage rates: kept with the step, or evaluated again, an implicit one from y1 = ... + b k."""
+        if self.step.rates is not None:
+            return list(self.step.rates)
+        values, rates = dict(self.values), list[Array]()
+        for number, stage in enumerate(self.tableau.stages):
+            symbol = ("k", number, 0)
+            if any(self_weights(stage, number)):
+                outcome = self.tableau.outcome[-1]
+                y1 = self.system.blocks(self.step.y1[: self.system.size])[-1]
+                k = (y1 - combine({s: c for s, c in outcome.items() if s != symbol}, values)) / outcome[symbol]
+            else:
+                k = self.system.rate(self.step.t + stage.offset, *_arguments(stage, values, self.system.n))
+            values[symbol] = k
+            rates.append(k)
+        return rates
+
+    def _place(self, stage: Stage) -> tuple[Array, ...]:
+        return _arguments(stage, self.values, self.system.n)
+
+    def _factor(self, number: int) -> Factor:
+        """The stage matrix, factorized once for tangents and pullbacks alike."""
+        if number not in self._factors:
+            stage = self.tableau.stages[number]
+            place, time = self._place(stage), self.step.t + stage.offset
+            ode: Any = self.system
+            self._factors[number] = factorize(ode.stage_matrix(time, place, self_weights(stage, number)))
+        return self._factors[number]
+
+    def tangent(self, dy0: Array, dtheta: Array) -> Array:
+        """dy1 from dy0 and dtheta, the derivative of the step in one direction."""
+        ode: Any = self.system
+        changes = _values(ode, _states(ode, np.asarray(dy0, dtype=float)))
+        for number, stage in enumerate(self.tableau.stages):
+            time, place, k = self.step.t + stage.offset, self._place(stage), self.values["k", number, 0]
+            load = ode.stage_dtheta(time, place, k) @ dtheta
+            for partial, part in zip(ode.stage_partials(time, *place), stage.arguments, strict=True):
+                load = load + partial @ (np.zeros(ode.n) + combine(part, changes))
+            implicit = any(self_weights(stage, number))
+            changes["k", number, 0] = self._factor(number).solve(load) if implicit else ode.stage_solve(load)
+        told = [np.zeros(ode.n) + combine(part, changes) for part in self.tableau.outcome]
+        return np.concatenate([*self._kept(dy0, before=True), *told, *self._kept(dy0, before=False)])
+
+    def _kept(self, dy0: Array, before: bool) -> list[Array]:
+        """The part of the new state that is the old y_n: in front of what `start` makes up, behind a step's result."""
+        starting = self.step.y0.size < self.step.y1.size
+        return [dy0[: self.system.size]] if self.kept and before == starting else []
+
+    def pullback(self, mu: Array, theta_bar: Array) -> Array:
+        """dJ/dy0 from mu = dJ/dy1: the transpose of `tangent`, stage by stage in reverse."""
+        ode: Any = self.system
+        size, starting = ode.size, self.step.y0.size < self.step.y1.size
+        told, kept = (mu[size:], mu[:size]) if starting else (mu[:size], mu[size:])
+        bars: Values = {}
+        for part, bar in zip(self.tableau.outcome, told.reshape(ode.components, -1), strict=True):
+            _spread(bars, part, bar)
+        for number in range(len(self.tableau.stages) - 1, -1, -1):
+            stage, symbol = self.tableau.stages[number], ("k", number, 0)
+            bar, k = bars.pop(symbol, None), self.values[symbol]
+            if bar is None:
+                continue
+            implicit = any(self_weights(stage, number))
+            w = self._factor(number).solve_transposed(bar) if implicit else ode.stage_solve(bar)
+            time, place = self.step.t + stage.offset, self._place(stage)
+            for part, argument_bar in zip(stage.arguments, ode.stage_vjp(time, place, k, w, theta_bar), strict=True):
+                _spread(bars, {s: c for s, c in part.items() if s != symbol}, argument_bar)
+        dy0 = self._collect(bars)
+        if self.kept:
+            dy0[:size] += kept
+        return dy0
+
+    def _collect(self, bars: Values) -> Array:
+        """Bars of the state blocks -> (history * size,), nothing at the velocity of pinned points."""
+        ode, count = self.system, self.step.y0.size // self.system.size
+        blocks = [bars.get(("y", -place, c), np.zeros(ode.n)) for place in range(count) for c in range(ode.components)]
+        states = np.concatenate(blocks).reshape(count, ode.size)
+        return np.concatenate([np.concatenate(ode.blocks(state)) for state in states])
+
+    # The plain definition: R = y1 - rule(y0, y1), differentiated block by block
+
+    @cached_property
+    def _plain(self) -> tuple[csr_array, csr_array, csr_array]:
+        from scipy.sparse import block_array, csr_array, eye_array
+
+        ode: Any = self.system
+        states = _states(ode, self.step.y0) | {1: self.step.y1[: ode.size]}
+        tableau = _tableau(self._rule, self._form, ode.components, self.step.h, False)
+        values = _values(ode, states)
+        by_state: dict[Symbol, dict[Symbol, Any]] = {}  # derivative of rate k_s by each state block
+        by_theta: dict[Symbol, Any] = {}
+        for number, stage in enumerate(tableau.stages):
+            time, place, symbol = (
+                self.step.t + stage.offset,
+                _arguments(stage, values, ode.n),
+                ("k", number, 0),
+            )
+            values[symbol] = ode.rate(time, *place)
+            scale = _diagonal(ode.stage_solve(np.ones(ode.n)))
+            load, slopes = ode.stage_dtheta(time, place, values[symbol]), dict[Symbol, Any]()
+            for partial, part in zip(ode.stage_partials(time, *place), stage.arguments, strict=True):
+                for s, c in part.items():
+                    inner = by_state.get(s, {s: _identity(ode.n)}) if s[0] == "k" else {s: _identity(ode.n)}
+                    for target, slope in inner.items():
+                        slopes[target] = slopes.get(target, 0) + scale @ partial @ slope * c
+                    if s[0] == "k":
+                        load = load + c * partial @ by_theta[s]
+            by_state[symbol], by_theta[symbol] = slopes, scale @ load
+        free = [_diagonal(np.ones(ode.n)), *(_diagonal(block) for block in ode.blocks(np.ones(ode.size))[1:])]
+        rows: list[dict[Symbol, Any]] = []
+        theta_rows = []
+        for part in tableau.outcome:
+            row, theta_row = dict[Symbol, Any](), csr_array((ode.n, ode.parameter_count))
+            for s, c in part.items():
+                inner = by_state[s] if s[0] == "k" else {s: _identity(ode.n)}
+                for target, slope in inner.items():
+                    row[target] = row.get(target, 0) + c * slope @ free[target[2]]
+                if s[0] == "k":
+                    theta_row = theta_row + c * by_theta[s]
+            rows.append(row)
+            theta_rows.append(theta_row)
+
+        def columns(offset: int) -> csr_array:
+            zero = csr_array((ode.n, ode.n))
+            return csr_array(
+                block_array([[row.get(("y", offset, c), zero) for c in range(ode.components)] for row in rows])
+            )
+
+        one = eye_array(ode.size, format="csr")
+        C = csr_array(block_array([[-row] for row in theta_rows])) if ode.parameter_count else csr_array((ode.size, 0))
+        A, B = csr_array(one - columns(1)), -columns(0)
+        if not self.kept:
+            return A, B, C
+        nothing = csr_array((ode.size, ode.parameter_count))
+        pair = csr_array(block_array([[A, None], [None, one]]))
+        if self.step.y0.size < self.step.y1.size:  # start: y1 = (y0, past)
+            return (
+                csr_array(block_array([[one, None], [None, A]])),
+                csr_array(block_array([[-one], [B]])),
+                csr_array(block_array([[nothing], [C]])),
+            )
+        B = csr_array(block_array([[B, -columns(-1)], [-one, csr_array((ode.size, ode.size))]]))
+        return pair, B, csr_array(block_array([[C], [nothing]]))
+
+    @property
+    def A(self) -> csr_array:
+        """dR/dy1."""
+        return self._plain[0]
+
+    @property
+    def B(self) -> csr_array:
+        """dR/dy0."""
+        return self._plain[1]
+
+    @property
+    def C(self) -> csr_array:
+        """dR/dtheta."""
+        return self._plain[2]
+
+
+def _spread(bars: Values, part: Mapping[Symbol, float], bar: Array) -> None:
+    """The transpose of `combine`."""
+    for symbol, coefficient in part.items():
+        bars[symbol] = bars[symbol] + coefficient * bar if symbol in bars else coefficient * bar
+
+
+def _identity(n: int) -> Any:
+    from scipy.sparse import eye_array
+
+    return eye_array(n, format="csr")
+
+
+def _diagonal(values: Array) -> Any:
+    from scipy.sparse import csr_array, diags_array
+
+    return csr_array(diags_array(values))

@@ -1,0 +1,455 @@
+"""What is simulated: second-order systems of points under effects, and first-order flows.
+
+Both offer the steppers the same few operations on a *stage*, the place where a rate is evaluated:
+`rate` k, the implicit stage's residual and matrix, and the products with its derivatives.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dsim.arrays.checks import Array, as_array, as_count, as_positive
+from dsim.arrays.frozen import replace
+from dsim.effects.effect import Effect
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
+
+
+class _Parameter(NamedTuple):
+    """Where one parameter of an effect lies: in the effect's own flat vector, and in the system's theta."""
+
+    label: str
+    shape: tuple[int, ...]
+    own: slice
+    place: slice
+
+
+@dataclass(frozen=True, eq=False)
+class System:
+    """Points of mass m under effects:  dq/dt = v,  M dv/dt = f(t, q, v).  Lecture: "Particle system".
+
+    mass (N,) kg > 0.  effects: force objects with different names.  fixed: indices of pinned points, which stay
+    in y = [q, v] and do not move: their velocity counts as 0 whatever y says.  Raises ValueError on bad input.
+    """
+
+    mass: Array
+    effects: tuple[Effect, ...] = ()
+    dimension: int = 3
+    fixed: tuple[int, ...] = ()
+    layout: tuple[tuple[_Parameter, ...], ...] = field(default=(), repr=False)  # one entry an effect
+    free: Array = field(default_factory=lambda: np.empty(0), repr=False)  # (n,) 1, and 0 at pinned entries
+
+    def __post_init__(self) -> None:
+        mass = as_positive("mass", self.mass, (None,))
+        dimension = as_count("dimension", self.dimension, least=1)
+        if not len(mass):
+            raise ValueError("mass must have at least one point; got shape (0,)")
+        fixed = _as_fixed(self.fixed, len(mass))
+        effects = tuple(_bound(effect, mass, dimension) for effect in _as_effects(self.effects))
+        free = np.ones((len(mass), dimension))
+        free[list(fixed)] = 0.0
+        values = {
+            "mass": mass,
+            "dimension": dimension,
+            "fixed": fixed,
+            "effects": effects,
+            "free": free.ravel(),
+        }
+        for name, value in values.items():
+            object.__setattr__(self, name, value)
+        object.__setattr__(self, "layout", _layout(mass, effects))
+
+    # Sizes and states
+
+    components = 2  # a state is (q, v)
+
+    @property
+    def n(self) -> int:
+        """Degrees of freedom, N d."""
+        return len(self.mass) * self.dimension
+
+    @property
+    def size(self) -> int:
+        """Length of y = [q, v]."""
+        return 2 * self.n
+
+    def blocks(self, y: Array) -> tuple[Array, Array]:
+        """y (2n,) -> q and v (n,), the velocity of pinned points taken as 0."""
+        return y[: self.n], y[self.n :] * self.free
+
+    @cached_property
+    def masses(self) -> Array:
+        """The mass of every degree of freedom, (n,)."""
+        return np.repeat(self.mass, self.dimension)
+
+    # Parameters
+
+    @cached_property
+    def theta(self) -> Array:
+        """Every differentiable parameter, flat (P,): mass first, then the effects' in their order."""
+        theta = np.empty(self.parameter_count)
+        theta[: len(self.mass)] = self.mass
+        for effect, parameters in zip(self.effects, self.layout, strict=True):
+            for p in parameters:
+                theta[p.place] = np.ravel(getattr(effect, p.label))
+        theta.setflags(write=False)
+        return theta
+
+    @property
+    def parameter_count(self) -> int:
+        """P."""
+        return max([len(self.mass), *(p.place.stop for parameters in self.layout for p in parameters)])
+
+    def split(self, theta: Array) -> dict[str, Array]:
+        """theta (P,) -> {"mass": (N,), "springs.stiffness": (E,), ...}; gradients split the same way."""
+        theta = np.asarray(theta)
+        if theta.shape != (self.parameter_count,):
+            raise ValueError(f"theta must have shape ({self.parameter_count},); got {theta.shape}")
+        parts = {"mass": theta[: len(self.mass)]}
+        for effect, parameters in zip(self.effects, self.layout, strict=True):
+            named = (p for p in parameters if p.label != "mass")
+            parts.update({f"{effect.name}.{p.label}": theta[p.place].reshape(p.shape) for p in named})
+        return parts
+
+    def join(self, **parts: Any) -> Array:
+        """theta with some parts exchanged: join(**{"springs.stiffness": k}).  Unknown names raise KeyError's kin."""
+        theta = self.theta.copy()
+        views = self.split(theta)
+        for name, value in parts.items():
+            if name not in views:
+                raise ValueError(f"no parameter is called {name!r}; this system has {', '.join(views)}")
+            views[name][...] = as_array(name, value, views[name].shape)
+        return theta
+
+    def with_theta(self, theta: Array) -> System:
+        """The same system with other parameter values; patterns are kept.
+
+        Only shapes and finiteness are checked: a finite difference at stiffness 0 may step below it.
+        """
+        theta = as_array("theta", theta, (self.parameter_count,))
+        mass = theta[: len(self.mass)]
+        effects = []
+        for effect, parameters in zip(self.effects, self.layout, strict=True):
+            values = {p.label: theta[p.place].reshape(p.shape) for p in parameters}
+            effects.append(replace(effect, **values) if values else effect)
+        return _fresh(self, mass=mass, effects=tuple(effects))
+
+    def at(self, t: float, y: Array, h: float) -> System:
+        """The system of one step: every effect with discrete choices makes them here."""
+        if not any(hasattr(effect, "at") for effect in self.effects):
+            return self
+        q = y[: self.n]
+        return _fresh(self, effects=tuple(e.at(t, q, h) if hasattr(e, "at") else e for e in self.effects))
+
+    # Forces and their derivatives: sums over exactly the effects that have the capability
+
+    def having(self, capability: str) -> tuple[Effect, ...]:
+        """The effects with a capability (an attribute that is there and not None)."""
+        return tuple(effect for effect in self.effects if getattr(effect, capability, None) is not None)
+
+    def force(self, t: float, q: Array, v: Array) -> Array:
+        """f (n,) N, the sum over all effects (pinned points included: their sum is the pins' load)."""
+        total = np.zeros(self.n)
+        for effect in self.effects:
+            total += effect.force(t, q, v)
+        return total
+
+    @property
+    def conservative(self) -> bool:
+        """Whether every effect has an energy, so that f = -dU/dq."""
+        return len(self.having("energy")) == len(self.effects)
+
+    def potential(self, t: float, q: Array) -> float:
+        """U, J: the sum over the effects that have an energy."""
+        return float(sum(effect.energy(t, q) for effect in self.having("energy")))  # type: ignore[attr-defined]
+
+    def kinetic(self, v: Array) -> float:
+        """v^T M v / 2, J."""
+        return 0.5 * float(v @ (self.masses * v))
+
+    def energy(self, t: float, y: Array) -> float:
+        """Kinetic plus potential energy, J."""
+        q, v = self.blocks(y)
+        return self.kinetic(v) + self.potential(t, q)
+
+    def dq(self, t: float, q: Array, v: Array) -> csr_array:
+        """K = df/dq, CSR (n,n)."""
+        return self._sum("dq", t, q, v)
+
+    def dv(self, t: float, q: Array, v: Array) -> csr_array:
+        """D = df/dv, CSR (n,n)."""
+        return self._sum("dv", t, q, v)
+
+    def _sum(self, capability: str, *place: Any) -> csr_array:
+        from scipy.sparse import csr_array
+
+        total = csr_array((self.n, self.n))
+        for effect in self.having(capability):
+            total = total + getattr(effect, capability)(*place)
+        return csr_array(total)
+
+    def dtheta(self, t: float, q: Array, v: Array) -> csr_array:
+        """df/dtheta, CSR (n,P)."""
+        from scipy.sparse import coo_array, csr_array
+
+        total = csr_array((self.n, self.parameter_count))
+        for effect, places in self._differentiable():
+            local = coo_array(effect.dtheta(t, q, v))
+            entries = (local.data, (local.row, places[local.col]))
+            total = total + csr_array(entries, shape=total.shape)
+        return csr_array(total)
+
+    def _differentiable(self) -> Iterable[tuple[Any, NDArray[np.int64]]]:
+        """Effects with dtheta, and the place in theta of each of its columns."""
+        for effect, parameters in zip(self.effects, self.layout, strict=True):
+            if parameters and getattr(effect, "dtheta", None) is not None:
+                places = np.concatenate([np.arange(p.place.start, p.place.stop) for p in parameters])
+                yield effect, places[getattr(effect, "columns", slice(None))]
+
+    def vjp(self, t: float, q: Array, v: Array, w: Array, theta_bar: Array) -> tuple[Array, Array]:
+        """(K^T w, D^T w); (df/dtheta)^T w is added into theta_bar (P,) in place.  No matrix is formed
+        for an effect that has a `vjp`."""
+        by_q, by_v = np.zeros(self.n), np.zeros(self.n)
+        for effect, parameters in zip(self.effects, self.layout, strict=True):
+            if hasattr(effect, "vjp"):
+                q_bar, v_bar, bar = effect.vjp(t, q, v, w)
+                by_q += q_bar
+                by_v += v_bar
+                _add(theta_bar, bar, parameters, getattr(effect, "columns", None))
+            else:
+                for capability, total in (("dq", by_q), ("dv", by_v)):
+                    if getattr(effect, capability, None) is not None:
+                        total += getattr(effect, capability)(t, q, v).T @ w
+                if parameters and getattr(effect, "dtheta", None) is not None:
+                    bar = effect.dtheta(t, q, v).T @ w
+                    _add(theta_bar, bar, parameters, getattr(effect, "columns", None))
+        return by_q, by_v
+
+    # The operations of a stage k = M^-1 f(t, q, v), pinned entries 0
+
+    def flow(self, t: float, y: Array) -> Array:
+        """dy/dt = (v, M^-1 f): the reduction to first order, (2n,)."""
+        q, v = self.blocks(y)
+        return np.concatenate([v, self.rate(t, q, v)])
+
+    def rate(self, t: float, q: Array, v: Array) -> Array:
+        """Acceleration M^-1 f (n,) m/s^2, 0 at pinned points."""
+        return self.free * self.force(t, q, v) / self.masses
+
+    def stage_residual(self, k: Array, t: float, q: Array, v: Array) -> Array:
+        """M k - f(t, q, v), N; pinned rows read M k = 0."""
+        return self.masses * k - self.free * self.force(t, q, v)
+
+    def stage_matrix(self, t: float, place: tuple[Array, Array], weights: tuple[float, float]) -> csr_array:
+        """M - b K - c D, for a stage at q = q_s + b k, v = v_s + c k; pinned rows and columns are those of M."""
+        from scipy.sparse import csr_array, diags_array
+
+        b, c = weights
+        matrix = csr_array(diags_array(self.masses))
+        for weight, capability in ((b, "dq"), (c, "dv")):
+            if weight and self.having(capability):
+                matrix = matrix - weight * self._sum(capability, t, *place)
+        if not self.fixed:
+            return csr_array(matrix)
+        free, pinned = diags_array(self.free), diags_array((1 - self.free) * self.masses)
+        return csr_array(free @ matrix @ free + pinned)
+
+    def stage_solve(self, w: Array) -> Array:
+        """M^-1 w."""
+        return w / self.masses
+
+    def stage_partials(self, t: float, q: Array, v: Array) -> tuple[csr_array, csr_array]:
+        """d(M k)/dq and d(M k)/dv, CSR (n,n), pinned rows 0."""
+        from scipy.sparse import csr_array, diags_array
+
+        free = diags_array(self.free)
+        return csr_array(free @ self.dq(t, q, v)), csr_array(free @ self.dv(t, q, v))
+
+    def stage_dtheta(self, t: float, place: tuple[Array, Array], k: Array) -> csr_array:
+        """df/dtheta - k dM/dtheta, CSR (n,P), pinned rows 0."""
+        from scipy.sparse import csr_array, diags_array
+
+        points = np.repeat(np.arange(len(self.mass)), self.dimension)
+        inertia = csr_array((k, (np.arange(self.n), points)), shape=(self.n, self.parameter_count))
+        return csr_array(diags_array(self.free) @ self.dtheta(t, *place) - inertia)
+
+    def stage_vjp(
+        self, t: float, place: tuple[Array, Array], k: Array, w: Array, theta_bar: Array
+    ) -> tuple[Array, Array]:
+        """Transposed `stage_partials` times w; transposed `stage_dtheta` times w is added into theta_bar."""
+        w = self.free * w
+        theta_bar[: len(self.mass)] -= (k * w).reshape(len(self.mass), -1).sum(axis=1)
+        return self.vjp(t, *place, w, theta_bar)
+
+    def stage_energy(self, t: float, weights: tuple[float, float]) -> Callable[[Array, Array], float] | None:
+        """Phi(k, q) = k^T M k / 2 + U(q) / b, whose gradient by k is the stage residual; None if there is none."""
+        b, _ = weights
+        if not self.conservative or b <= 0 or self.having("dv"):
+            return None
+        return lambda k, q: 0.5 * float(k @ (self.masses * k)) + self.potential(t, q) / b
+
+
+def _fresh(system: System, **values: Any) -> System:
+    """A copy without the cached properties of the original."""
+    twin = replace(system, **values)
+    for cached in ("theta", "masses"):
+        if not (cached == "masses" and "mass" not in values):
+            twin.__dict__.pop(cached, None)
+    return twin
+
+
+def _add(theta_bar: Array, bar: Array | float, parameters: tuple[_Parameter, ...], columns: slice | None) -> None:
+    """Add an effect's flat parameter gradient into theta_bar, touching only its entries."""
+    if not parameters or not isinstance(bar, np.ndarray):
+        return
+    if columns is not None and columns.start is not None:  # a window, for an effect with a single parameter
+        start = parameters[0].place.start
+        theta_bar[start + columns.start : start + columns.stop] += bar
+        return
+    for p in parameters:
+        theta_bar[p.place] += bar[p.own]
+
+
+def _bound(effect: Any, mass: Array, dimension: int) -> Effect:
+    bound: Effect = effect.bind(mass, dimension) if hasattr(effect, "bind") else effect
+    return bound
+
+
+def _as_effects(effects: Any) -> tuple[Effect, ...]:
+    effects = tuple(effects) if isinstance(effects, Iterable) else (effects,)
+    for effect in effects:
+        if not isinstance(effect, Effect):
+            raise ValueError(f"effects must have a name and a force(t, q, v); got {effect!r:.60}")
+    names = [effect.name for effect in effects]
+    for name in names:
+        if names.count(name) > 1:
+            raise ValueError(f'effects must have different names; got two called {name!r} (use name="...")')
+        if name == "mass" or "." in name:
+            raise ValueError(f'an effect may not be called {name!r}: "mass" and dots are taken')
+    return effects
+
+
+def _as_fixed(fixed: Sequence[int] | NDArray[np.int64], count: int) -> tuple[int, ...]:
+    indices = np.unique(np.asarray(fixed)) if np.size(fixed) else np.empty(0, dtype=int)
+    if not np.issubdtype(indices.dtype, np.integer):
+        raise ValueError(f"fixed must be whole numbers, indices of points; got {fixed!r:.60}")
+    if indices.size and (indices[0] < 0 or indices[-1] >= count):
+        bad = indices[0] if indices[0] < 0 else indices[-1]
+        raise ValueError(f"fixed must be indices from 0 to {count - 1}; got {bad}")
+    return tuple(int(i) for i in indices)
+
+
+def _layout(mass: Array, effects: tuple[Effect, ...]) -> tuple[tuple[_Parameter, ...], ...]:
+    layout, start = [], len(mass)
+    for effect in effects:
+        entries, own = [], 0
+        for label in getattr(effect, "parameters", ()):
+            shape = np.shape(getattr(effect, label))
+            size = int(np.prod(shape))
+            place = slice(0, size) if label == "mass" else slice(start, start + size)
+            start += 0 if label == "mass" else size
+            entries.append(_Parameter(label, shape, slice(own, own + size), place))
+            own += size
+        layout.append(tuple(entries))
+    return tuple(layout)
+
+
+@dataclass(frozen=True, eq=False)
+class Flow:
+    """A first-order flow  dy/dt = phi(t, y).  Lecture: the leaf in a river.
+
+    phi: callable (t, y (ny,)) -> (ny,).  jacobian: (t, y) -> (ny,ny); without one it is differenced
+    (nine to ten digits), and `differenced` says so.  size: ny.
+    """
+
+    phi: Callable[[float, Array], Any]
+    size: int
+    jacobian: Callable[[float, Array], Any] | None = None
+
+    components = 1
+    parameter_count = 0
+    theta = np.zeros(0)
+
+    def __post_init__(self) -> None:
+        if not callable(self.phi):
+            raise ValueError(f"phi must be a callable (t, y) -> (ny,); got {self.phi!r:.60}")
+        object.__setattr__(self, "size", as_count("size", self.size, least=1))
+
+    @property
+    def n(self) -> int:
+        return self.size
+
+    @property
+    def differenced(self) -> bool:
+        """True when the derivative comes from finite differences."""
+        return self.jacobian is None
+
+    def blocks(self, y: Array) -> tuple[Array]:
+        return (y,)
+
+    def split(self, theta: Array) -> dict[str, Array]:
+        """A flow has no named parameters."""
+        return {}
+
+    def at(self, t: float, y: Array, h: float) -> Flow:
+        return self
+
+    def rate(self, t: float, y: Array) -> Array:
+        value = np.asarray(self.phi(t, y), dtype=float)
+        if value.shape != (self.size,):
+            raise ValueError(f"phi must return shape ({self.size},); got {value.shape}")
+        return value
+
+    flow = rate
+
+    def matrix(self, t: float, y: Array) -> Array:
+        """dphi/dy (ny,ny)."""
+        if self.jacobian is None:
+            return _differenced(lambda z: self.rate(t, z), y)
+        value = np.asarray(self.jacobian(t, y), dtype=float)
+        if value.shape != (self.size, self.size):
+            raise ValueError(f"jacobian must return shape {(self.size, self.size)}; got {value.shape}")
+        return value
+
+    def stage_residual(self, k: Array, t: float, y: Array) -> Array:
+        return k - self.rate(t, y)
+
+    def stage_matrix(self, t: float, place: tuple[Array], weights: tuple[float]) -> Array:
+        return np.eye(self.size) - weights[0] * self.matrix(t, place[0])
+
+    def stage_solve(self, w: Array) -> Array:
+        return w
+
+    def stage_partials(self, t: float, y: Array) -> tuple[csr_array]:
+        from scipy.sparse import csr_array
+
+        return (csr_array(self.matrix(t, y)),)
+
+    def stage_dtheta(self, t: float, place: tuple[Array], k: Array) -> csr_array:
+        from scipy.sparse import csr_array
+
+        return csr_array((self.size, 0))
+
+    def stage_vjp(self, t: float, place: tuple[Array], k: Array, w: Array, theta_bar: Array) -> tuple[Array]:
+        return (self.matrix(t, place[0]).T @ w,)
+
+    def stage_energy(self, t: float, weights: tuple[float]) -> None:
+        return None
+
+
+def _differenced(f: Callable[[Array], Array], y: Array) -> Array:
+    step = np.cbrt(np.finfo(float).eps) * np.maximum(1.0, np.abs(y))
+    columns = []
+    for i, width in enumerate(step):
+        ahead, behind = y.copy(), y.copy()
+        ahead[i] += width
+        behind[i] -= width
+        columns.append((f(ahead) - f(behind)) / (ahead[i] - behind[i]))
+    return np.stack(columns, axis=1)
