@@ -161,7 +161,8 @@ def record(stepper: Stepper, system: Ode, y0: Any, h: float, steps: int, keep: K
                 if keep == "steps":
                     taken.append(step)
     kept = tuple(taken) if keep == "steps" else None
-    return Trajectory(stepper, system, h, h * np.arange(done + 1), y[: done + 1], status, counters, kept)
+    t: Array = h * np.arange(done + 1, dtype=float)
+    return Trajectory(stepper, system, h, t, y[: done + 1], status, counters, kept)
 
 
 def _explain(trajectory: Trajectory) -> str:

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from dsim.arrays.checks import Array, as_array, as_count, as_positive
 from dsim.arrays.frozen import replace
 from dsim.effects.effect import Effect
+from dsim.solve.linear import DENSE_SIZE
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
@@ -228,7 +229,7 @@ class System:
                     if getattr(effect, capability, None) is not None:
                         total += getattr(effect, capability)(t, q, v).T @ w
                 if parameters and getattr(effect, "dtheta", None) is not None:
-                    bar = effect.dtheta(t, q, v).T @ w
+                    bar = effect.dtheta(t, q, v).T @ w  # type: ignore[attr-defined]
                     _add(theta_bar, bar, parameters, getattr(effect, "columns", None))
         return by_q, by_v
 
@@ -247,15 +248,31 @@ class System:
         """M k - f(t, q, v), N; pinned rows read M k = 0."""
         return self.masses * k - self.free * self.force(t, q, v)
 
-    def stage_matrix(self, t: float, place: tuple[Array, Array], weights: tuple[float, float]) -> csr_array:
-        """M - b K - c D, for a stage at q = q_s + b k, v = v_s + c k; pinned rows and columns are those of M."""
+    def stage_matrix(self, t: float, place: tuple[Any, ...], weights: tuple[float, float]) -> Any:
+        """M - b K - c D, for a stage at q = q_s + b k, v = v_s + c k; pinned rows and columns are those of M.
+
+        Dense where a dense factorization is quicker, else CSR.
+        """
+        where = (t, *place)
+        if self.n > DENSE_SIZE:
+            return self._sparse_stage_matrix(where, weights)
+        matrix = np.diag(self.masses)
+        for weight, capability in zip(weights, ("dq", "dv"), strict=True):
+            for effect in self.having(capability) if weight else ():
+                matrix -= weight * getattr(effect, capability)(*where).toarray()
+        if self.fixed:
+            pinned = self.free == 0
+            matrix[pinned] = matrix[:, pinned] = 0.0
+            matrix[pinned, pinned] = self.masses[pinned]
+        return matrix
+
+    def _sparse_stage_matrix(self, where: tuple[Any, ...], weights: tuple[float, float]) -> csr_array:
         from scipy.sparse import csr_array, diags_array
 
-        b, c = weights
         matrix = csr_array(diags_array(self.masses))
-        for weight, capability in ((b, "dq"), (c, "dv")):
+        for weight, capability in zip(weights, ("dq", "dv"), strict=True):
             if weight and self.having(capability):
-                matrix = matrix - weight * self._sum(capability, t, *place)
+                matrix = matrix - weight * self._sum(capability, *where)
         if not self.fixed:
             return csr_array(matrix)
         free, pinned = diags_array(self.free), diags_array((1 - self.free) * self.masses)

@@ -111,12 +111,10 @@ class Drag:
         from scipy.sparse import csr_array
 
         slip = self._slip(t, q, v)
-        columns = [-slip.reshape(-1, 1)]
-        if self.coefficient.ndim:
-            columns = [np.asarray(block_columns(-slip))]
+        columns: list[Array] = [block_columns(-slip) if self.coefficient.ndim else -slip.reshape(-1, 1)]
         if isinstance(self.wind, np.ndarray):
             c = np.broadcast_to(self.coefficient, self.points)
-            columns.append(np.kron(c[:, None], np.eye(self.dimension)))
+            columns.append(np.asarray(np.kron(c[:, None], np.eye(self.dimension)), dtype=float))
         return csr_array(np.hstack(columns))
 
     def vjp(self, t: float, q: Array, v: Array, w: Array) -> tuple[Array | float, Array, Array]:

@@ -45,13 +45,9 @@ class Field:
         for label, value in (("force", force), ("jacobian", jacobian), ("potential", potential)):
             if not callable(value) and (value is not None or label == "force"):
                 raise ValueError(f"{label} must be a callable of x (N,d); got {value!r:.60}")
-        for label, value in (
-            ("function", force),
-            ("jacobian", jacobian),
-            ("potential", potential),
-            ("name", name),
-        ):
-            object.__setattr__(self, label, value)
+        given = {"function": force, "jacobian": jacobian, "potential": potential, "name": name}
+        for label, attribute in given.items():
+            object.__setattr__(self, label, attribute)
 
     @property
     def differenced(self) -> bool:

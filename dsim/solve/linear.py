@@ -11,7 +11,7 @@ from dsim.arrays.checks import Array
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
-    Matrix = Array | csr_array
+Matrix = Any  # ndarray or csr_array
 
 # Below this size a dense LU beats the sparse one, index work included.
 DENSE_SIZE = 128

@@ -25,6 +25,7 @@ import numpy as np
 from dsim.arrays.checks import Array, as_positive
 from dsim.solve.linear import Factor, factorize
 from dsim.solve.newton import NewtonResult, Status, newton
+from dsim.steppers.definition import jacobians
 from dsim.steppers.stepper import Counters, Ode, Step, check_state
 from dsim.steppers.tableau import Stage, Symbol, Tableau, combine, eliminate, record, self_weights
 
@@ -82,9 +83,7 @@ class RuleStepper:
     def linearize(self, system: Ode, step: Step) -> RuleLinearization:
         starting = step.y0.size < step.y1.size  # the step that `start` took
         rule, form = (self.past, 1) if starting else (self.rule, self.form)
-        kept = (0,) if starting else (0,) * (self.history - 1)
-        frozen = system.at(step.t, step.y0[: system.size], step.h)
-        return RuleLinearization(frozen, step, rule, form, kept)
+        return RuleLinearization(system.at(step.t, step.y0[: system.size], step.h), step, rule, form)
 
 
 @dataclass(frozen=True)
@@ -225,9 +224,10 @@ class RuleLinearization:
     """The linearization of one step.  `tangent` and `pullback` eliminate the new state stage by stage and solve
     with M - c D - b K; A, B and C are the plain definition, which the tests hold against them."""
 
-    def __init__(self, system: Ode, step: Step, rule: Any, form: int, kept: tuple[int, ...]) -> None:
-        self.system, self.step, self.kept = system, step, kept
+    def __init__(self, system: Ode, step: Step, rule: Any, form: int) -> None:
+        self.system, self.step = system, step
         self._rule, self._form = rule, form
+        self._starting = step.y0.size < step.y1.size
         self.tableau = _tableau(rule, form, system.components, step.h, True)
         self.values = _values(system, _states(system, step.y0))
         for number, k in enumerate(self._rates()):
@@ -274,35 +274,35 @@ class RuleLinearization:
                 load = load + partial @ (np.zeros(ode.n) + combine(part, changes))
             implicit = any(self_weights(stage, number))
             changes["k", number, 0] = self._factor(number).solve(load) if implicit else ode.stage_solve(load)
-        told = [np.zeros(ode.n) + combine(part, changes) for part in self.tableau.outcome]
-        return np.concatenate([*self._kept(dy0, before=True), *told, *self._kept(dy0, before=False)])
+        told = np.concatenate([np.zeros(ode.n) + combine(part, changes) for part in self.tableau.outcome])
+        return np.concatenate(self._ordered(told, np.asarray(dy0, dtype=float)[: ode.size]))
 
-    def _kept(self, dy0: Array, before: bool) -> list[Array]:
-        """The part of the new state that is the old y_n: in front of what `start` makes up, behind a step's result."""
-        starting = self.step.y0.size < self.step.y1.size
-        return [dy0[: self.system.size]] if self.kept and before == starting else []
+    def _ordered(self, told: Array, kept: Array) -> list[Array]:
+        """The new state: what the rule told, then the y_n kept as history; the other way round after `start`."""
+        if self.step.y1.size == self.system.size:
+            return [told]
+        return [kept, told] if self._starting else [told, kept]
 
     def pullback(self, mu: Array, theta_bar: Array) -> Array:
         """dJ/dy0 from mu = dJ/dy1: the transpose of `tangent`, stage by stage in reverse."""
         ode: Any = self.system
-        size, starting = ode.size, self.step.y0.size < self.step.y1.size
-        told, kept = (mu[size:], mu[:size]) if starting else (mu[:size], mu[size:])
+        told, *kept = self._ordered(mu[: ode.size], mu[ode.size :])
         bars: Values = {}
         for part, bar in zip(self.tableau.outcome, told.reshape(ode.components, -1), strict=True):
             _spread(bars, part, bar)
         for number in range(len(self.tableau.stages) - 1, -1, -1):
             stage, symbol = self.tableau.stages[number], ("k", number, 0)
-            bar, k = bars.pop(symbol, None), self.values[symbol]
-            if bar is None:
+            if symbol not in bars:
                 continue
+            bar, k = bars.pop(symbol), self.values[symbol]
             implicit = any(self_weights(stage, number))
             w = self._factor(number).solve_transposed(bar) if implicit else ode.stage_solve(bar)
             time, place = self.step.t + stage.offset, self._place(stage)
             for part, argument_bar in zip(stage.arguments, ode.stage_vjp(time, place, k, w, theta_bar), strict=True):
                 _spread(bars, {s: c for s, c in part.items() if s != symbol}, argument_bar)
         dy0 = self._collect(bars)
-        if self.kept:
-            dy0[:size] += kept
+        for bar in kept:
+            dy0[: ode.size] += bar
         return dy0
 
     def _collect(self, bars: Values) -> Array:
@@ -312,100 +312,32 @@ class RuleLinearization:
         states = np.concatenate(blocks).reshape(count, ode.size)
         return np.concatenate([np.concatenate(ode.blocks(state)) for state in states])
 
-    # The plain definition: R = y1 - rule(y0, y1), differentiated block by block
-
     @cached_property
-    def _plain(self) -> tuple[csr_array, csr_array, csr_array]:
-        from scipy.sparse import block_array, csr_array, eye_array
-
-        ode: Any = self.system
-        states = _states(ode, self.step.y0) | {1: self.step.y1[: ode.size]}
-        tableau = _tableau(self._rule, self._form, ode.components, self.step.h, False)
-        values = _values(ode, states)
-        by_state: dict[Symbol, dict[Symbol, Any]] = {}  # derivative of rate k_s by each state block
-        by_theta: dict[Symbol, Any] = {}
-        for number, stage in enumerate(tableau.stages):
-            time, place, symbol = (
-                self.step.t + stage.offset,
-                _arguments(stage, values, ode.n),
-                ("k", number, 0),
-            )
-            values[symbol] = ode.rate(time, *place)
-            scale = _diagonal(ode.stage_solve(np.ones(ode.n)))
-            load, slopes = ode.stage_dtheta(time, place, values[symbol]), dict[Symbol, Any]()
-            for partial, part in zip(ode.stage_partials(time, *place), stage.arguments, strict=True):
-                for s, c in part.items():
-                    inner = by_state.get(s, {s: _identity(ode.n)}) if s[0] == "k" else {s: _identity(ode.n)}
-                    for target, slope in inner.items():
-                        slopes[target] = slopes.get(target, 0) + scale @ partial @ slope * c
-                    if s[0] == "k":
-                        load = load + c * partial @ by_theta[s]
-            by_state[symbol], by_theta[symbol] = slopes, scale @ load
-        free = [_diagonal(np.ones(ode.n)), *(_diagonal(block) for block in ode.blocks(np.ones(ode.size))[1:])]
-        rows: list[dict[Symbol, Any]] = []
-        theta_rows = []
-        for part in tableau.outcome:
-            row, theta_row = dict[Symbol, Any](), csr_array((ode.n, ode.parameter_count))
-            for s, c in part.items():
-                inner = by_state[s] if s[0] == "k" else {s: _identity(ode.n)}
-                for target, slope in inner.items():
-                    row[target] = row.get(target, 0) + c * slope @ free[target[2]]
-                if s[0] == "k":
-                    theta_row = theta_row + c * by_theta[s]
-            rows.append(row)
-            theta_rows.append(theta_row)
-
-        def columns(offset: int) -> csr_array:
-            zero = csr_array((ode.n, ode.n))
-            return csr_array(
-                block_array([[row.get(("y", offset, c), zero) for c in range(ode.components)] for row in rows])
-            )
-
-        one = eye_array(ode.size, format="csr")
-        C = csr_array(block_array([[-row] for row in theta_rows])) if ode.parameter_count else csr_array((ode.size, 0))
-        A, B = csr_array(one - columns(1)), -columns(0)
-        if not self.kept:
-            return A, B, C
-        nothing = csr_array((ode.size, ode.parameter_count))
-        pair = csr_array(block_array([[A, None], [None, one]]))
-        if self.step.y0.size < self.step.y1.size:  # start: y1 = (y0, past)
-            return (
-                csr_array(block_array([[one, None], [None, A]])),
-                csr_array(block_array([[-one], [B]])),
-                csr_array(block_array([[nothing], [C]])),
-            )
-        B = csr_array(block_array([[B, -columns(-1)], [-one, csr_array((ode.size, ode.size))]]))
-        return pair, B, csr_array(block_array([[C], [nothing]]))
+    def _definition(self) -> tuple[csr_array, csr_array, csr_array]:
+        step, ode = self.step, self.system
+        tableau = _tableau(self._rule, self._form, ode.components, step.h, False)
+        states = _states(ode, step.y0)
+        if not self._starting:
+            states |= {1: step.y1[: ode.size]}
+        return jacobians(ode, step.t, tableau, states, start=self._starting)
 
     @property
     def A(self) -> csr_array:
         """dR/dy1."""
-        return self._plain[0]
+        return self._definition[0]
 
     @property
     def B(self) -> csr_array:
         """dR/dy0."""
-        return self._plain[1]
+        return self._definition[1]
 
     @property
     def C(self) -> csr_array:
         """dR/dtheta."""
-        return self._plain[2]
+        return self._definition[2]
 
 
 def _spread(bars: Values, part: Mapping[Symbol, float], bar: Array) -> None:
     """The transpose of `combine`."""
     for symbol, coefficient in part.items():
         bars[symbol] = bars[symbol] + coefficient * bar if symbol in bars else coefficient * bar
-
-
-def _identity(n: int) -> Any:
-    from scipy.sparse import eye_array
-
-    return eye_array(n, format="csr")
-
-
-def _diagonal(values: Array) -> Any:
-    from scipy.sparse import csr_array, diags_array
-
-    return csr_array(diags_array(values))

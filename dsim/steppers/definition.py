@@ -1,0 +1,85 @@
+"""A, B and C of a step by their definition: R = y1 - rule(y0, y1), differentiated block by block.
+
+Nothing is eliminated and nothing is clever here; the fast path in `rule` is held against it by the tests.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from dsim.arrays.checks import Array
+from dsim.steppers.tableau import Coefficients, Symbol, Tableau, combine
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
+
+Slopes = dict[Symbol, Any]  # derivatives by state blocks and by theta, CSR
+_THETA: Symbol = ("theta", 0, 0)
+
+
+def jacobians(
+    ode: Any, t: float, tableau: Tableau, states: dict[int, Array], start: bool
+) -> tuple[csr_array, csr_array, csr_array]:
+    """(A, B, C) of the residual in the whole state, history included; `start` for the step that makes a past."""
+    from scipy.sparse import block_array, csr_array, eye_array
+
+    slopes = _stage_slopes(ode, t, tableau, states)
+    rows = [_chain(part, slopes) for part in tableau.outcome]
+
+    def columns(symbols: list[Symbol], widths: list[int]) -> csr_array:
+        empty = [csr_array((ode.n, width)) for width in widths]
+        grid = [[row.get(s, zero) for s, zero in zip(symbols, empty, strict=True)] for row in rows]
+        return csr_array(block_array(grid))
+
+    def by_state(offset: int) -> csr_array:
+        return columns([("y", offset, c) for c in range(ode.components)], [ode.n] * ode.components)
+
+    one, zero = eye_array(ode.size, format="csr"), csr_array((ode.size, ode.size))
+    A, B = csr_array(one - by_state(1)), -by_state(0)
+    C, none = -columns([_THETA], [ode.parameter_count]), csr_array((ode.size, ode.parameter_count))
+    if start:  # y1 = (y0, past)
+        return _stack([[one, zero], [zero, A]]), _stack([[-one], [B]]), _stack([[none], [C]])
+    if -1 in states:  # y0 = (y_n, y_{n-1}), y1 = (y_{n+1}, y_n)
+        return _stack([[A, zero], [zero, one]]), _stack([[B, -by_state(-1)], [-one, zero]]), _stack([[C], [none]])
+    return A, B, C
+
+
+def _stage_slopes(ode: Any, t: float, tableau: Tableau, states: dict[int, Array]) -> dict[Symbol, Slopes]:
+    """The derivative of every state block (a mask: pinned velocities count as 0) and of every rate."""
+    masks = ode.blocks(np.ones(ode.size))
+    symbols = [("y", offset, c) for offset in states for c in range(ode.components)]
+    slopes: dict[Symbol, Slopes] = {s: {s: _diagonal(masks[s[2]])} for s in symbols}
+    values = {("y", n, c): block for n, y in states.items() for c, block in enumerate(ode.blocks(y))}
+    scale = _diagonal(ode.stage_solve(np.ones(ode.n)))  # M^-1
+    for number, stage in enumerate(tableau.stages):
+        time, place = t + stage.offset, tuple(np.zeros(ode.n) + combine(part, values) for part in stage.arguments)
+        k = ode.rate(time, *place)
+        total: Slopes = {_THETA: scale @ ode.stage_dtheta(time, place, k)}
+        for partial, part in zip(ode.stage_partials(time, *place), stage.arguments, strict=True):
+            for target, slope in _chain(part, slopes).items():
+                total[target] = total.get(target, 0) + scale @ partial @ slope
+        values["k", number, 0], slopes["k", number, 0] = k, total
+    return slopes
+
+
+def _chain(part: Coefficients, slopes: dict[Symbol, Slopes]) -> Slopes:
+    """The derivative of an affine form."""
+    total: Slopes = {}
+    for symbol, coefficient in part.items():
+        for target, slope in slopes[symbol].items():
+            total[target] = total.get(target, 0) + coefficient * slope
+    return total
+
+
+def _diagonal(values: Array) -> Any:
+    from scipy.sparse import csr_array, diags_array
+
+    return csr_array(diags_array(values))
+
+
+def _stack(grid: list[list[Any]]) -> csr_array:
+    from scipy.sparse import block_array, csr_array
+
+    return csr_array(block_array(grid))
