@@ -1,0 +1,70 @@
+"""What a scene is: a system, where it starts, and how it is best stepped."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from dsim.arrays.checks import Array, Numbers, as_array, as_count, as_pairs, as_step, check_indices
+from dsim.simulation import Trajectory, simulate
+from dsim.steppers.stepper import Stepper
+from dsim.system import Flow, System
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """A system with an initial state, and the stepper, h and number of steps that suit it.
+
+    summary: one line.  y0 (2n,) = [q, v], or (n,) for a flow.  h s.  exact: t -> y, where a closed form is known.
+    edges (E,2): pairs of points to draw, the springs where there are some.  invariants: name -> (t, y) -> number,
+    which the true motion keeps constant.  Raises ValueError on bad input.
+    """
+
+    name: str
+    summary: str
+    system: System | Flow
+    y0: Numbers
+    h: float
+    steps: int
+    stepper: Stepper
+    exact: Callable[[float], Array] | None = None
+    edges: Numbers = ()
+    invariants: Mapping[str, Callable[[float, Array], float]] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        edges = as_pairs("edges", self.edges)
+        check_indices("edges", edges, self.points)
+        values = {
+            "y0": as_array("y0", self.y0, (self.system.size,)),
+            "h": as_step(self.h),
+            "steps": as_count("steps", self.steps),
+            "edges": edges,
+        }
+        for name, value in values.items():
+            object.__setattr__(self, name, value)
+
+    @property
+    def dimension(self) -> int:
+        """d of the space that the points live in; a flow is one point in the space of its states."""
+        return self.system.dimension if isinstance(self.system, System) else self.system.size
+
+    @property
+    def points(self) -> int:
+        """N."""
+        return self.system.n // self.dimension
+
+    @property
+    def duration(self) -> float:
+        """The time of the last state, s."""
+        return self.h * self.steps
+
+    def simulate(self, stepper: Stepper | None = None) -> Trajectory:
+        """Run it, with the recommended stepper or another one.  Raises SimulationError like `dsim.simulate`."""
+        return simulate(stepper or self.stepper, self.system, self.y0, self.h, self.steps)
+
+
+def at_rest(x: Array) -> Array:
+    """Positions x (N,d) -> the state y = [q, 0]."""
+    return np.concatenate([np.ravel(x), np.zeros(x.size)])
