@@ -26,6 +26,7 @@ from dsim.steppers import (
     TwoStepBackwardEuler,
     VelocityVerlet,
 )
+from dsim.studies.convergence import OrderProblem, leaf_in_river, pendulum_in_wind
 from dsim.studies.derivatives import EffectExample
 from dsim.studies.reference import DOP853, RADAU, Reference
 
@@ -99,6 +100,8 @@ STEPPERS: tuple[RuleStepper, ...] = (
     VelocityVerlet(),
     RK4(),
 )
+
+ORDER_PROBLEMS: tuple[Callable[[], OrderProblem], ...] = (pendulum_in_wind, leaf_in_river)
 
 REFERENCES: tuple[Reference, ...] = (DOP853, RADAU)
 

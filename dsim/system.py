@@ -14,8 +14,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from dsim.arrays.checks import Array, as_array, as_count, as_positive
+from dsim.arrays.checks import Array, Numbers, as_array, as_count, as_positive
 from dsim.arrays.frozen import replace
+from dsim.arrays.scatter import diagonal
 from dsim.effects.effect import Effect
 from dsim.solve.linear import DENSE_SIZE
 
@@ -40,10 +41,10 @@ class System:
     in y = [q, v] and do not move: their velocity counts as 0 whatever y says.  Raises ValueError on bad input.
     """
 
-    mass: Array
-    effects: tuple[Effect, ...] = ()
+    mass: Numbers
+    effects: Any = ()  # stored as a tuple of bound effects
     dimension: int = 3
-    fixed: tuple[int, ...] = ()
+    fixed: Any = ()  # stored as a tuple of indices
     layout: tuple[tuple[_Parameter, ...], ...] = field(default=(), repr=False)  # one entry an effect
     free: Array = field(default_factory=lambda: np.empty(0), repr=False)  # (n,) 1, and 0 at pinned entries
 
@@ -229,7 +230,7 @@ class System:
                     if getattr(effect, capability, None) is not None:
                         total += getattr(effect, capability)(t, q, v).T @ w
                 if parameters and getattr(effect, "dtheta", None) is not None:
-                    bar = effect.dtheta(t, q, v).T @ w  # type: ignore[attr-defined]
+                    bar = effect.dtheta(t, q, v).T @ w
                     _add(theta_bar, bar, parameters, getattr(effect, "columns", None))
         return by_q, by_v
 
@@ -267,15 +268,15 @@ class System:
         return matrix
 
     def _sparse_stage_matrix(self, where: tuple[Any, ...], weights: tuple[float, float]) -> csr_array:
-        from scipy.sparse import csr_array, diags_array
+        from scipy.sparse import csr_array
 
-        matrix = csr_array(diags_array(self.masses))
+        matrix = diagonal(self.masses)
         for weight, capability in zip(weights, ("dq", "dv"), strict=True):
             if weight and self.having(capability):
                 matrix = matrix - weight * self._sum(capability, *where)
         if not self.fixed:
             return csr_array(matrix)
-        free, pinned = diags_array(self.free), diags_array((1 - self.free) * self.masses)
+        free, pinned = diagonal(self.free), diagonal((1 - self.free) * self.masses)
         return csr_array(free @ matrix @ free + pinned)
 
     def stage_solve(self, w: Array) -> Array:
@@ -284,18 +285,18 @@ class System:
 
     def stage_partials(self, t: float, q: Array, v: Array) -> tuple[csr_array, csr_array]:
         """d(M k)/dq and d(M k)/dv, CSR (n,n), pinned rows 0."""
-        from scipy.sparse import csr_array, diags_array
+        from scipy.sparse import csr_array
 
-        free = diags_array(self.free)
+        free = diagonal(self.free)
         return csr_array(free @ self.dq(t, q, v)), csr_array(free @ self.dv(t, q, v))
 
     def stage_dtheta(self, t: float, place: tuple[Array, Array], k: Array) -> csr_array:
         """df/dtheta - k dM/dtheta, CSR (n,P), pinned rows 0."""
-        from scipy.sparse import csr_array, diags_array
+        from scipy.sparse import csr_array
 
         points = np.repeat(np.arange(len(self.mass)), self.dimension)
         inertia = csr_array((k, (np.arange(self.n), points)), shape=(self.n, self.parameter_count))
-        return csr_array(diags_array(self.free) @ self.dtheta(t, *place) - inertia)
+        return csr_array(diagonal(self.free) @ self.dtheta(t, *place) - inertia)
 
     def stage_vjp(
         self, t: float, place: tuple[Array, Array], k: Array, w: Array, theta_bar: Array

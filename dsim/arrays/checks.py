@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+Numbers = Any  # what a user may write where an Array is stored: a number, a sequence, an array
 
 
 def as_array(name: str, value: Any, shape: Sequence[int | None] | None = None) -> Array:

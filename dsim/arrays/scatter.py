@@ -6,6 +6,7 @@ matrices (E,k,d,k,d) into the data of one fixed CSR pattern: assembly is a spars
 
 from __future__ import annotations
 
+import copy
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -62,11 +63,10 @@ class ElementScatter:
 
     def matrix(self, values: Array) -> csr_array:
         """(E,k,d,k,d) -> CSR (n,n) with one pattern for the lifetime of this object."""
-        from scipy.sparse import csr_array
-
         pattern, summation = self._pattern
-        data = summation @ values.ravel()
-        return csr_array((data, pattern.indices, pattern.indptr), shape=pattern.shape)
+        matrix = copy.copy(pattern)  # shares the indices; the constructor would check them every time
+        matrix.data = summation @ values.ravel()
+        return matrix
 
     def mixed(self, values: Array) -> csr_array:
         """(E,k,d,p) -> CSR (n, p E): parameter a of element e is column a E + e (fields lie one after another)."""
@@ -87,6 +87,14 @@ def _summation(slots: NDArray[np.int64], size: int) -> csr_array:
     order = np.argsort(slots, kind="stable").astype(np.int32)
     indptr = np.concatenate([[0], np.cumsum(np.bincount(slots, minlength=size))]).astype(np.int32)
     return csr_array((np.ones(len(slots)), order, indptr), shape=(size, len(slots)))
+
+
+def diagonal(values: Array) -> csr_array:
+    """(n,) -> CSR (n,n)."""
+    from scipy.sparse import csr_array
+
+    n = len(values)
+    return csr_array((values, np.arange(n), np.arange(n + 1)), shape=(n, n))
 
 
 def block_diagonal(blocks: Array) -> csr_array:

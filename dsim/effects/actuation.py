@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from dsim.arrays.checks import Array, as_array, as_step
+from dsim.arrays.checks import Array, Numbers, as_array, as_step
 from dsim.arrays.frozen import replace
 
 if TYPE_CHECKING:
@@ -25,7 +25,7 @@ class Actuation:
     Raises ValueError when stepped with another h, or outside its rows.
     """
 
-    forces: Array
+    forces: Numbers
     h: float
     name: str = "actuation"
     parameters = ("forces",)

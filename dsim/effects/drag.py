@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from dsim.arrays.checks import Array, as_array, as_nonnegative
+from dsim.arrays.checks import Array, Numbers, as_array, as_nonnegative
 from dsim.arrays.frozen import replace
-from dsim.arrays.scatter import block_diagonal, pointwise_jacobian
+from dsim.arrays.scatter import block_diagonal, diagonal, pointwise_jacobian
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
@@ -27,8 +27,8 @@ class Drag:
     (t, x) -> (N,d,d); without one it is differenced (nine to ten digits), and `differenced` says so.
     """
 
-    coefficient: Array
-    wind: Array | Wind | None = None
+    coefficient: Numbers
+    wind: Numbers | Wind | None = None
     wind_jacobian: Wind | None = None
     name: str = "drag"
     points: int = 0  # set by bind
@@ -103,9 +103,7 @@ class Drag:
         return block_diagonal(c[:, None, None] * self._wind_blocks(t, q))
 
     def dv(self, t: float, q: Array, v: Array) -> csr_array:
-        from scipy.sparse import csr_array, diags_array
-
-        return csr_array(diags_array(-self._per_dof()))
+        return diagonal(-self._per_dof())
 
     def dtheta(self, t: float, q: Array, v: Array) -> csr_array:
         from scipy.sparse import csr_array

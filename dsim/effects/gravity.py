@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from dsim.arrays.checks import Array, as_array
+from dsim.arrays.checks import Array, Numbers, as_array
 from dsim.arrays.frozen import replace
 
 if TYPE_CHECKING:
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 class Gravity:
     """f_i = m_i g; energy -sum m_i g . x_i.  acceleration g: (d,) m/s^2.  Its derivative by mass is g."""
 
-    acceleration: Array
+    acceleration: Numbers
     name: str = "gravity"
     parameters = ("mass", "acceleration")
     symmetric = True

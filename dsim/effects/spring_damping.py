@@ -6,9 +6,8 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
-from dsim.arrays.checks import Array, as_pairs, check_indices
+from dsim.arrays.checks import Array, Numbers, as_pairs, check_indices
 from dsim.arrays.frozen import replace
 from dsim.arrays.scatter import ElementScatter
 from dsim.effects.springs import per_element
@@ -27,8 +26,8 @@ class SpringDamping:
     symmetric.  Coincident ends have no direction and feel no damping.
     """
 
-    pairs: NDArray[np.int64]
-    coefficient: Array
+    pairs: Numbers
+    coefficient: Numbers
     name: str = "spring_damping"
     parameters = ("coefficient",)
     symmetric = False
@@ -61,11 +60,11 @@ class SpringDamping:
         flat = np.eye(n.shape[1]) - n[:, :, None] * n[:, None, :]
         turned = n[:, :, None] * np.einsum("ed,edj->ej", u, flat)[:, None, :]
         block = inverse(length, self.coefficient)[:, None, None] * (turned + rate[:, None, None] * flat)
-        return -scatter.matrix(both_pairs(block))
+        return scatter.matrix(-both_pairs(block))
 
     def dv(self, t: float, q: Array, v: Array) -> csr_array:
         scatter, _, n, _ = self._edges(q, v)
-        return -scatter.matrix(both_pairs(self.coefficient[:, None, None] * n[:, :, None] * n[:, None, :]))
+        return scatter.matrix(-both_pairs(self.coefficient[:, None, None] * n[:, :, None] * n[:, None, :]))
 
     def dtheta(self, t: float, q: Array, v: Array) -> csr_array:
         scatter, _, n, u = self._edges(q, v)

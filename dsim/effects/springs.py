@@ -6,9 +6,8 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
-from dsim.arrays.checks import Array, as_nonnegative, as_pairs, check_indices
+from dsim.arrays.checks import Array, Numbers, as_nonnegative, as_pairs, check_indices
 from dsim.arrays.frozen import replace
 from dsim.arrays.scatter import ElementScatter
 from dsim.kernels.spring import SPRING, both_ends, directions, slackness
@@ -21,9 +20,9 @@ if TYPE_CHECKING:
 class Springs:
     """The force of E springs, f = -dU/dx.  pairs (E,2), rest_length (E,) m, stiffness (E,) N/m (numbers broadcast)."""
 
-    pairs: NDArray[np.int64]
-    rest_length: Array
-    stiffness: Array
+    pairs: Numbers
+    rest_length: Numbers
+    stiffness: Numbers
     name: str = "springs"
     parameters = ("rest_length", "stiffness")
     symmetric = True
@@ -53,7 +52,7 @@ class Springs:
 
     def dq(self, t: float, q: Array, v: Array) -> csr_array:
         scatter, x, theta = self._elements(q)
-        return -scatter.matrix(SPRING.hessian(x, theta))
+        return scatter.matrix(-SPRING.hessian(x, theta))
 
     def dtheta(self, t: float, q: Array, v: Array) -> csr_array:
         scatter, x, theta = self._elements(q)

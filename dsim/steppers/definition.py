@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from dsim.arrays.checks import Array
+from dsim.arrays.scatter import diagonal
 from dsim.steppers.tableau import Coefficients, Symbol, Tableau, combine
 
 if TYPE_CHECKING:
@@ -50,9 +51,9 @@ def _stage_slopes(ode: Any, t: float, tableau: Tableau, states: dict[int, Array]
     """The derivative of every state block (a mask: pinned velocities count as 0) and of every rate."""
     masks = ode.blocks(np.ones(ode.size))
     symbols = [("y", offset, c) for offset in states for c in range(ode.components)]
-    slopes: dict[Symbol, Slopes] = {s: {s: _diagonal(masks[s[2]])} for s in symbols}
+    slopes: dict[Symbol, Slopes] = {s: {s: diagonal(masks[s[2]])} for s in symbols}
     values = {("y", n, c): block for n, y in states.items() for c, block in enumerate(ode.blocks(y))}
-    scale = _diagonal(ode.stage_solve(np.ones(ode.n)))  # M^-1
+    scale = diagonal(ode.stage_solve(np.ones(ode.n)))  # M^-1
     for number, stage in enumerate(tableau.stages):
         time, place = t + stage.offset, tuple(np.zeros(ode.n) + combine(part, values) for part in stage.arguments)
         k = ode.rate(time, *place)
@@ -71,12 +72,6 @@ def _chain(part: Coefficients, slopes: dict[Symbol, Slopes]) -> Slopes:
         for target, slope in slopes[symbol].items():
             total[target] = total.get(target, 0) + coefficient * slope
     return total
-
-
-def _diagonal(values: Array) -> Any:
-    from scipy.sparse import csr_array, diags_array
-
-    return csr_array(diags_array(values))
 
 
 def _stack(grid: list[list[Any]]) -> csr_array:

@@ -9,12 +9,13 @@ from typing import Any
 import numpy as np
 
 from dsim.arrays.checks import Array
+from dsim.effects import Drag, Gravity, SpringDamping, Springs
 from dsim.simulation import simulate
 from dsim.steppers.stepper import Stepper
 from dsim.studies.check import Check
 from dsim.studies.reference import certified
+from dsim.studies.steps import river
 from dsim.system import Flow, System
-
 
 COMPARISONS = 20  # comparison times in [0, T]; not whole periods: there symplectic Euler would show order 2
 REFINEMENTS = (1, 1.5, 2, 3, 4, 6)  # step counts over the coarsest one
@@ -95,3 +96,21 @@ def check_order(stepper: Any, problem: OrderProblem) -> tuple[Check, OrderFit]:
     passed = abs(fit.order - stepper.order) <= 0.1 and fit.r_squared >= 0.999
     statement = f"observed order ({problem.name})"
     return Check(type(stepper).__name__, statement, passed, fit.order, f"{stepper.order} +- 0.1"), fit
+
+
+def pendulum_in_wind() -> OrderProblem:
+    """A spring pendulum in 2-D with gravity, spring damping and drag in a steady wind; nothing is periodic."""
+    effects = (
+        Gravity([0.0, -9.81]),
+        Drag(0.4, wind=[1.0, 0.0]),
+        Springs([(0, 1)], rest_length=1.0, stiffness=20.0),
+        SpringDamping([(0, 1)], coefficient=0.3),
+    )
+    system = System([1.0, 1.0], effects, dimension=2, fixed=[0])
+    return with_reference("pendulum in wind", system, np.array([0.0, 0, 1, 0, 0, 0, 0, 0]), duration=1.0)
+
+
+def leaf_in_river() -> OrderProblem:
+    """A leaf in a swirling, pulsating river, a first-order flow."""
+    problem = river()
+    return with_reference("leaf in a river", problem.system, problem.y0, duration=2.0)

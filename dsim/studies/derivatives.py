@@ -75,10 +75,14 @@ def check_kernel(kernel: Kernel, seed: int = 0) -> tuple[Check, ...]:
     mixed = per_element(by_theta.reshape(count, width, count, theta.shape[1]))
     claimed = kernel.hessian(x, theta).reshape(count, width, width)
     return (
-        verdict(kernel.name, "gradient = d energy/dx", deviation(kernel.gradient(x, theta).reshape(count, -1), gradient)),
+        verdict(
+            kernel.name, "gradient = d energy/dx", deviation(kernel.gradient(x, theta).reshape(count, -1), gradient)
+        ),
         verdict(kernel.name, "hessian = d gradient/dx", deviation(claimed, hessian)),
         verdict(kernel.name, "hessian is symmetric", deviation(claimed, np.swapaxes(claimed, 1, 2)), 1e-14),
-        verdict(kernel.name, "mixed = d gradient/dtheta", deviation(kernel.mixed(x, theta).reshape(mixed.shape), mixed)),
+        verdict(
+            kernel.name, "mixed = d gradient/dtheta", deviation(kernel.mixed(x, theta).reshape(mixed.shape), mixed)
+        ),
     )
 
 

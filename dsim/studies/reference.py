@@ -27,9 +27,7 @@ class Reference:
 
         scale = max(1.0, float(np.abs(y0).max(initial=0.0)))
         span = (0.0, float(times[-1]))
-        found = solve_ivp(
-            system.flow, span, y0, self.method, np.asarray(times), rtol=self.rtol, atol=self.rtol * scale
-        )
+        found = solve_ivp(system.flow, span, y0, self.method, np.asarray(times), rtol=self.rtol, atol=self.rtol * scale)
         if not found.success:
             raise ArithmeticError(f"{self.name} gave up: {found.message}")
         states: Array = found.y.T

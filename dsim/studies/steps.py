@@ -74,13 +74,14 @@ def _step_checks(stepper: Any, ode: Any, step: Step, subject: str, seed: int) ->
     yield verdict(subject, "residual of a solved step", float(np.abs(stepper.residual(ode, step)).max()), 1e-10)
     linear = stepper.linearize(ode, step)
 
-    def residual(**changes: Array) -> Array:
+    def residual(**changes: Any) -> Array:
         at: Array = stepper.residual(ode, replace(step, **changes))
         return at
 
     rng = np.random.default_rng(seed)
     u, w = (rng.normal(size=(size, 3)) for size in (step.y0.size, ode.parameter_count))
-    by_y1, by_y0 = (directional(lambda z, k=k: residual(**{k: z}), getattr(step, k), u) for k in ("y1", "y0"))
+    by_y1 = directional(lambda y1: residual(y1=y1), step.y1, u)
+    by_y0 = directional(lambda y0: residual(y0=y0), step.y0, u)
     yield verdict(subject, "A = dR/dy1", deviation(linear.A @ u, by_y1))
     yield verdict(subject, "B = dR/dy0", deviation(linear.B @ u, by_y0))
     if ode.parameter_count:
