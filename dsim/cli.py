@@ -56,6 +56,56 @@ def verify(
     raise typer.Exit(status)
 
 
+@app.command()
+def check(
+    function: Annotated[str | None, typer.Argument(help="FILE.py:FUNCTION, x -> (value, gradient).")] = None,
+    at: Annotated[str, typer.Option("--at", help="x: .npy, .npz, .json, or 0.1,0.2", metavar="X")] = "",
+    program: Annotated[str, typer.Option("--exec", help="A program in any language.", metavar="PROGRAM")] = "",
+    form: Annotated[str, typer.Option("--format", help="Files of --exec: npz or json.")] = "npz",
+    batch: Annotated[bool, typer.Option("--batch", help="PROGRAM takes x (B,n), gives value (B,).")] = False,
+    timeout: Annotated[float, typer.Option("--timeout", help="Seconds for each call of PROGRAM.")] = 60.0,
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON only.")] = False,
+    plot: Annotated[Path | None, typer.Option("--plot", help="Draw the V-curve (.png, .svg).")] = None,
+) -> None:
+    """Is this gradient right?  Judges code that dsim did not write.
+
+    Exit code 0: smooth, the gradient is right. 1: wrong. 2: kink, jump or noise, or bad usage.
+
+    **Examples**
+
+    `dsim check cost.py:cost --at x.npy` - cost(x) returns (value, gradient)
+
+    `dsim check cost.py:cost --at 0.1,0.2 --plot v.png` - and draw the V-curve
+
+    `dsim check --exec ./simulator --at x.npy` - run as `./simulator in.npz out.npz`: x in, value and gradient out
+
+    `dsim check --exec "julia cost.jl" --format json --batch --at x.npy --json` - many points a call, for a script
+    """
+    import json
+
+    from dsim.report.terminal import counting
+    from dsim.studies import check_gradient, foreign
+
+    if bool(function) == bool(program):
+        raise ValueError("give either FILE.py:FUNCTION or --exec PROGRAM")
+    if not at:
+        raise ValueError("--at must give the point x: a file, or numbers like 0.1,0.2")
+    if plot is not None and plot.suffix.lower() not in (".png", ".svg"):
+        raise ValueError(f"--plot must end in .png or .svg; got {plot}")
+    f = foreign.load_function(function) if function else foreign.Program(program, form, batch, timeout)
+    with counting(f, "evaluations") as counted:
+        report = check_gradient(counted, foreign.read_point(at))
+    if report.given is None:
+        raise ValueError(f"{function or program} must return (value, gradient); it returned a value alone")
+    if plot is not None:
+        from dsim.pictures.gradient_check import v_curve
+        from dsim.pictures.style import save
+
+        save(v_curve(report), plot)
+    typer.echo(json.dumps(report.to_dict(), indent=2) if as_json else str(report))
+    raise typer.Exit({"smooth": 0, "wrong": 1}.get(report.verdict, 2))
+
+
 def main() -> None:
     """Entry point: a ValueError or missing file becomes one clear line and exit code 2, not a traceback."""
     try:

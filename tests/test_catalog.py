@@ -29,7 +29,7 @@ def failures(checks):
 
 def problems(stepper):
     found = [everything(2), everything(3)]
-    return found + [river()] if stepper.form == 1 else found
+    return [*found, river()] if stepper.form == 1 else found
 
 
 @pytest.mark.parametrize("kernel", catalog.KERNELS, ids=lambda k: k.name)

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import time
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from typing import Any, cast
 
 from rich.console import Console
 from rich.markup import escape
@@ -14,6 +16,7 @@ from dsim.report.model import Page, Progress, Section, SectionJob, figures
 from dsim.studies.check import Check
 
 WIDTH = 80
+PATIENCE = 2.0  # seconds before a silent computation begins to show its progress
 MOST_PASSED = 12  # green rows shown of one section; red rows are always shown
 
 
@@ -76,3 +79,35 @@ def _verdict(check: Check) -> Text:
 
 def _words(check: Check) -> tuple[str, str, str, str]:
     return check.subject, check.statement, figures(check.measured), check.bound
+
+
+@contextmanager
+def counting(f: Callable[[Any], Any], what: str) -> Iterator[Callable[[Any], Any]]:
+    """f, with a count of its calls on stderr once they have taken two seconds."""
+    start, count, err = time.perf_counter(), 0, console(stderr=True)
+    with err.status("") as status:
+        status.stop()
+
+        def seen(calls: int) -> None:
+            nonlocal count
+            count += calls
+            if time.perf_counter() - start > PATIENCE:
+                status.start()
+                status.update(f"{count} {what}")
+
+        yield _Counted(f, seen)
+
+
+class _Counted:
+    def __init__(self, f: Callable[[Any], Any], seen: Callable[[int], None]) -> None:
+        self._f, self._seen = f, seen
+        if hasattr(f, "many"):
+            self.many = self._many
+
+    def __call__(self, x: Any) -> Any:
+        self._seen(1)
+        return self._f(x)
+
+    def _many(self, points: list[Any]) -> Any:
+        self._seen(len(points))
+        return cast(Any, self._f).many(points)
