@@ -48,7 +48,7 @@ _RC: dict[Any, Any] = {
     "axes.axisbelow": True,
     "axes.titlesize": 12,
     "axes.titlelocation": "left",
-    "axes.titleweight": "semibold",
+    "axes.titleweight": "bold",
     "axes.labelsize": 11,
     "axes.prop_cycle": cycler(color=COLOURS) + cycler(linestyle=(DASHES * 2)[: len(COLOURS)]),
     "grid.color": "#d8dee4",

@@ -2,10 +2,19 @@
 
 from __future__ import annotations
 
+from dsim.report import derivations, methods
 from dsim.report.environment import build_environment
 from dsim.report.model import SectionJob
 
 
 def jobs(full: bool = False) -> tuple[SectionJob, ...]:
     """Every section; `full` asks for the long studies too."""
-    return (SectionJob("environment", "Machine and arithmetic", build_environment),)
+    return (
+        SectionJob("scenes", "Gradients of the scenes", methods.scene_gradients),
+        SectionJob("orders", "Observed orders of accuracy", methods.orders),
+        SectionJob("steppers", "Steppers and their linearizations", derivations.steppers),
+        SectionJob("derivatives", "Forces and their derivatives", derivations.derivatives),
+        SectionJob("newton", "Newton's method", methods.newton),
+        SectionJob("verdicts", "Verdicts on gradients", methods.verdicts),
+        SectionJob("environment", "Machine and arithmetic", build_environment),
+    )

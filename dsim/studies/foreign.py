@@ -28,7 +28,9 @@ def read_point(text: str) -> Array:
         try:
             return np.array([float(part) for part in text.split(",")])
         except ValueError:
-            raise ValueError(f"--at must be a .npy, .npz or .json file, or numbers like 0.1,0.2; got {text!r}") from None
+            raise ValueError(
+                f"--at must be a .npy, .npz or .json file, or numbers like 0.1,0.2; got {text!r}"
+            ) from None
     if not path.is_file():
         raise FileNotFoundError(f"--at must be a file; there is none at {path}")
     try:
@@ -87,8 +89,8 @@ def _told(error: BaseException, path: Path) -> str:
 class Program:
     """An executable as a function x -> (value, gradient).
 
-    It is started as `PROGRAM INPUT OUTPUT` in a temporary directory of its own, reads x from INPUT, and writes value and
-    gradient to OUTPUT: NPZ arrays or JSON keys of these names.  With `batch`, x is (B,n) and value (B,),
+    It is started as `PROGRAM INPUT OUTPUT`, reads x from INPUT, and writes value and gradient to OUTPUT, both in a
+    temporary directory: NPZ arrays or JSON keys of these names.  With `batch`, x is (B,n) and value (B,),
     gradient (B,n).  Raises ValueError for a failure, a time-out or an answer that cannot be read.
     """
 
@@ -137,7 +139,9 @@ class Program:
 
     def _start(self, argv: list[str]) -> None:
         try:
-            done = subprocess.run(argv, capture_output=True, timeout=self.timeout, stdin=subprocess.DEVNULL, check=False)
+            done = subprocess.run(
+                argv, capture_output=True, timeout=self.timeout, stdin=subprocess.DEVNULL, check=False
+            )
         except (FileNotFoundError, PermissionError) as error:
             raise ValueError(f"--exec must be a program that can be started; {self.command!r}: {error}") from error
         except OSError as error:

@@ -1,0 +1,56 @@
+"""The README says what is true: its tables come from the catalog, its code runs, its commands are the tested ones."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+from dsim.report.readme import updated
+
+README = Path(__file__).parent.parent / "README.md"
+TEXT = README.read_text()
+BLOCKS = re.findall(r"```python\n(.*?)```", TEXT, flags=re.S)
+
+
+def test_tables_are_those_of_the_catalog():
+    assert updated(TEXT) == TEXT, "run: python -m dsim.report.readme"
+
+
+def test_a_stale_table_is_noticed():
+    assert updated(TEXT.replace("| `RK4` | 4 |", "| `RK4` | 5 |")) == TEXT
+    with pytest.raises(ValueError, match="README.md must contain"):
+        updated("nothing")
+
+
+def test_the_cloth_prints_a_checked_gradient(capsys):
+    exec(BLOCKS[0], {"__name__": "readme"})
+    assert "verdict   smooth" in capsys.readouterr().out
+
+
+def test_the_effect_is_checked(capsys):
+    exec(BLOCKS[2], {"__name__": "readme"})
+    lines = capsys.readouterr().out.splitlines()
+    assert len(lines) >= 8 and all("passed=True" in line for line in lines)
+
+
+def test_the_effect_without_its_derivative_is_red(capsys):
+    source = re.sub(r"    def dq.*?(?=    def dtheta)", "", BLOCKS[2], flags=re.S)
+    exec(source, {"__name__": "readme"})
+    assert "passed=False" in capsys.readouterr().out
+
+
+def test_the_quoted_stepper_is_the_real_one():
+    source = (README.parent / "dsim/steppers/euler.py").read_text()
+    assert BLOCKS[1].splitlines()[-1].strip() == "return y[0] + h * phi(t + h, y[1])"
+    assert BLOCKS[1].splitlines()[-1] in source
+
+
+def test_the_two_commands_stand_at_the_top():
+    top = TEXT[: TEXT.index("## ")]
+    assert "    python -m pip install . && dsim verify\n" in top
+    assert '    python -m pip install -e ".[test]" && pytest\n' in top
+
+
+def test_every_linked_file_exists():
+    for target in re.findall(r"\]\(([^)#]+)\)", TEXT):
+        assert (README.parent / target).exists(), target
