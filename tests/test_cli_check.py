@@ -128,7 +128,10 @@ def test_plots_are_pictures(folder):
         (["cost.py", "--at", "x.npy"], "FILE.py:FUNCTION; got 'cost.py'"),
         (["none.py:f", "--at", "x.npy"], "no file none.py"),
         (["cost.py:absent", "--at", "x.npy"], "no function 'absent'; it has right, wrong"),
-        (["cost.py:broken", "--at", "x.npy"], r"broken raised ZeroDivisionError: division by zero (line 19 of cost.py)"),
+        (
+            ["cost.py:broken", "--at", "x.npy"],
+            r"broken raised ZeroDivisionError: division by zero (line 19 of cost.py)",
+        ),
         (["cost.py:bare", "--at", "x.npy"], "must return (value, gradient)"),
         (["cost.py:right", "--at", "none.npy"], "there is none at none.npy"),
         (["cost.py:right", "--at", "zero,one"], "numbers like 0.1,0.2; got 'zero,one'"),
@@ -169,7 +172,7 @@ def test_points_come_from_many_files(folder):
     for name in ("a.npz", "b.npz", "c.json", "0,1,2"):
         assert read_point(name).tolist() == [0, 1, 2]
     (folder / "bad.npy").write_text("not numpy")
-    with pytest.raises(ValueError, match="bad.npy does not"):
+    with pytest.raises(ValueError, match=r"bad\.npy does not"):
         read_point("bad.npy")
 
 

@@ -18,7 +18,7 @@ def test_tables_are_those_of_the_catalog():
 
 def test_a_stale_table_is_noticed():
     assert updated(TEXT.replace("| `RK4` | 4 |", "| `RK4` | 5 |")) == TEXT
-    with pytest.raises(ValueError, match="README.md must contain"):
+    with pytest.raises(ValueError, match=r"README\.md must contain"):
         updated("nothing")
 
 

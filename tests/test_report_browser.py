@@ -45,7 +45,7 @@ def crash(progress: verify.Progress) -> Section:
 @pytest.fixture(scope="module")
 def page(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The real sections, one that strains the layout, one that raises."""
-    jobs = [job for job in sections.jobs() if job.key == "environment"]
+    jobs = [job for job in sections.jobs() if job.key in ("derivatives", "newton", "verdicts", "environment")]
     jobs += [SectionJob("wide", "A wide section", wide), SectionJob("crash", "A broken section", crash)]
     built = tuple(verify.build(job, no_progress) for job in jobs)
     return html.write(Page("dsim verify", built, verify.environment(), 3.2, 90.0), tmp_path_factory.mktemp("report"))

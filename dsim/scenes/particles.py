@@ -50,7 +50,8 @@ def kepler(eccentricity: float = 0.6, h: float = 2 * np.pi / 1000, steps: int = 
     system = System([1.0], [Field(_pull, _pull_jacobian, _pull_potential, name="sun")], dimension=2)
     invariants = {"energy": system.energy, "angular momentum": lambda t, y: float(y[0] * y[3] - y[1] * y[2])}
     summary = "A planet on an ellipse around a fixed sun, one period"
-    return Scene("kepler", summary, system, exact(0.0), h, steps, VelocityVerlet(), exact, invariants=invariants)
+    y0, sun = exact(0.0), [[0.0, 0.0]]
+    return Scene("kepler", summary, system, y0, h, steps, VelocityVerlet(), exact, invariants=invariants, marks=sun)
 
 
 def eccentric_anomaly(mean: float, eccentricity: float) -> float:

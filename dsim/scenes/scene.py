@@ -19,7 +19,7 @@ class Scene:
 
     summary: one line.  y0 (2n,) = [q, v], or (n,) for a flow.  h s.  exact: t -> y, where a closed form is known.
     edges (E,2): pairs of points to draw, the springs where there are some.  invariants: name -> (t, y) -> number,
-    which the true motion keeps constant.  Raises ValueError on bad input.
+    which the true motion keeps constant.  marks (K,d): fixed places worth drawing.  Raises ValueError on bad input.
     """
 
     name: str
@@ -32,6 +32,7 @@ class Scene:
     exact: Callable[[float], Array] | None = None
     edges: Numbers = ()
     invariants: Mapping[str, Callable[[float, Array], float]] = field(default_factory=dict)
+    marks: Numbers = ()
 
     def __post_init__(self) -> None:
         edges = as_pairs("edges", self.edges)
@@ -41,6 +42,7 @@ class Scene:
             "h": as_step(self.h),
             "steps": as_count("steps", self.steps),
             "edges": edges,
+            "marks": as_array("marks", np.reshape(self.marks, (-1, self.dimension))),
         }
         for name, value in values.items():
             object.__setattr__(self, name, value)

@@ -13,12 +13,12 @@ from dsim.system import System
 
 
 def stiff_net() -> System:
-    """Six points on a ring of springs with h^2 k/m about 40, stretched unevenly."""
+    """Six points on a ring of springs with h^2 k/m = 10, stretched unevenly."""
     pairs = [(i, (i + 1) % 6) for i in range(6)] + [(0, 3), (1, 4)]
     return System(np.full(6, 0.5), (Gravity([0.0, -9.81]), Springs(pairs, 1.0, 2000.0)), dimension=2, fixed=(0,))
 
 
-def solve_step(scale: float = 1.0, globalize: Any = "none", h: float = 0.1) -> NewtonResult:
+def solve_step(scale: float = 1.0, globalize: Any = "none", h: float = 0.05) -> NewtonResult:
     """One backward Euler step of `stiff_net` in its accelerations; `scale` multiplies the force Jacobian."""
     system = stiff_net()
     angles = np.arange(6) * np.pi / 3
