@@ -13,15 +13,16 @@ from dsim.studies.derivatives import check_effect, check_kernel
 from dsim.studies.steps import check_stepper, everything, river
 
 
-def derivatives(progress: Progress) -> Section:
-    """Every kernel and every effect."""
+def derivatives(progress: Progress, full: bool = False) -> Section:
+    """Every kernel and every effect; with `full`, at five random places instead of one."""
     checks: list[Check] = []
-    for kernel in catalog.KERNELS:
-        progress(f"kernel {kernel.name}")
-        checks += check_kernel(kernel)
-    for example in catalog.EFFECTS:
-        progress(example.name)
-        checks += check_effect(example)
+    for seed in range(5 if full else 1):
+        for kernel in catalog.KERNELS:
+            progress(f"kernel {kernel.name}")
+            checks += check_kernel(kernel, seed)
+        for example in catalog.EFFECTS:
+            progress(example.name)
+            checks += check_effect(example, seed)
     lead = (
         "Each force states its own derivatives. Here every one of them is held against extrapolated differences "
         "of what it derives from, in two and three dimensions, at points in general position. The matrix-free "
@@ -30,12 +31,13 @@ def derivatives(progress: Progress) -> Section:
     return Section(lead, tuple(checks), (_worst(checks),), (_digits(checks, "derivative"),))
 
 
-def steppers(progress: Progress) -> Section:
-    """Every stepper on a system with all effects, and on a flow where it applies."""
+def steppers(progress: Progress, full: bool = False) -> Section:
+    """Every stepper on a system with all effects, and on a flow where it applies; with `full`, also in 3-D."""
     checks: list[Check] = []
+    systems = [everything(2), *([everything(3), everything(1)] if full else [])]
     for stepper in catalog.STEPPERS:
         progress(type(stepper).__name__)
-        for problem in (everything(2), river()) if stepper.form == 1 else (everything(2),):
+        for problem in [*systems, river()] if stepper.form == 1 else systems:
             checks += check_stepper(stepper, problem)
     lead = (
         "A step is a residual R(y1; y0, theta) = 0 and its gradient is the linearization A dy1 + B dy0 + C dtheta = 0. "

@@ -64,13 +64,13 @@ def newton(progress: Progress) -> Section:
     return Section(lead, checks, (), (picture,))
 
 
-def scene_gradients(progress: Progress) -> Section:
-    """The adjoint of every scene, judged like anybody else's gradient."""
+def scene_gradients(progress: Progress, full: bool = False) -> Section:
+    """The adjoint of every scene, judged like anybody else's gradient; with `full`, in full size and over 20 steps."""
     checks, rows, pictures = [], [], []
     for build in catalog.SCENES:
-        scene = build(**SMALL.get(build.__name__, {}))
+        scene = build() if full else build(**SMALL.get(build.__name__, {}))
         progress(scene.name)
-        report = check_scene(scene)
+        report = check_scene(scene, steps=20) if full else check_scene(scene)
         names = knobs(scene.system)
         stepper = type(scene.stepper).__name__
         checks.append(Check(scene.name, f"adjoint of {stepper}: {report.verdict}", report.ok, report.digits, "smooth"))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 from dsim.report import derivations, methods
 from dsim.report.environment import build_environment
 from dsim.report.model import SectionJob
@@ -10,10 +12,10 @@ from dsim.report.model import SectionJob
 def jobs(full: bool = False) -> tuple[SectionJob, ...]:
     """Every section; `full` asks for the long studies too."""
     return (
-        SectionJob("scenes", "Gradients of the scenes", methods.scene_gradients),
+        SectionJob("scenes", "Gradients of the scenes", partial(methods.scene_gradients, full=full)),
         SectionJob("orders", "Observed orders of accuracy", methods.orders),
-        SectionJob("steppers", "Steppers and their linearizations", derivations.steppers),
-        SectionJob("derivatives", "Forces and their derivatives", derivations.derivatives),
+        SectionJob("steppers", "Steppers and their linearizations", partial(derivations.steppers, full=full)),
+        SectionJob("derivatives", "Forces and their derivatives", partial(derivations.derivatives, full=full)),
         SectionJob("newton", "Newton's method", methods.newton),
         SectionJob("verdicts", "Verdicts on gradients", methods.verdicts),
         SectionJob("environment", "Machine and arithmetic", build_environment),
