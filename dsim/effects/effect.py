@@ -19,11 +19,13 @@ class Effect(Protocol):
     - `parameters: tuple[str, ...]`: attributes to differentiate by; "mass" is the system's own;
     - `dtheta(t, q, v)` -> CSR (n,p), columns in the order of `parameters`, each flattened;
     - `vjp(t, q, v, w) -> (dq^T w, dv^T w, dtheta^T w)`, without forming a matrix; 0 for a part that vanishes;
+    - `rows() -> Rows`: the force and its vjp on coordinate rows, in place, for explicit runs;
     - `symmetric: bool`: dq and dv are symmetric (band Cholesky and CG may be used);
     - `at(t, q, h) -> Effect`: freezes discrete choices for one step; its `columns` names the parameters left.
     """
 
-    name: str
+    @property
+    def name(self) -> str: ...
 
     def force(self, t: float, q: Array, v: Array) -> Array:
         """(n,) generalized force, N.  q (n,) m, v (n,) m/s, t s."""
