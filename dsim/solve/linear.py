@@ -103,7 +103,10 @@ def make_definite(matrix: Matrix) -> Matrix:
     Dense: eigenvalues below a floor are replaced by their absolute value or the floor.  Sparse: the
     diagonal is raised, eightfold each try, until an LDL^T without pivoting has positive pivots only.
     Only Newton's search direction may use this; a linearization never does.
+    Raises SingularMatrixError when the matrix is not finite.
     """
+    if not np.isfinite(matrix if isinstance(matrix, np.ndarray) else matrix.data).all():
+        raise SingularMatrixError("the matrix is not finite")
     if not isinstance(matrix, np.ndarray) and matrix.shape[0] <= DENSE_SIZE:
         matrix = matrix.toarray()
     if isinstance(matrix, np.ndarray):
@@ -120,8 +123,10 @@ def make_definite(matrix: Matrix) -> Matrix:
 def _raise_diagonal(matrix: csr_array) -> csr_array:
     from scipy.sparse import csr_array, diags_array
 
-    diagonal = np.abs(matrix.diagonal())
-    scale = np.maximum(diagonal, 1e-8 * diagonal.max())
+    # A row's share is at least a thousandth of its sum: a zero on the diagonal must be raised too, and in the end
+    # the diagonal dominates.
+    rows = np.asarray(abs(matrix).sum(axis=1))
+    scale = np.maximum(np.abs(matrix.diagonal()), np.maximum(1e-3 * rows, 1e-8 * rows.max() or 1.0))
     shift = 0.0
     while not _has_positive_pivots(csr_array(matrix + shift * diags_array(scale))):
         shift = max(8.0 * shift, 1e-3)
