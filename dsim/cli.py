@@ -57,6 +57,41 @@ def verify(
 
 
 @app.command()
+def show(
+    scene: Annotated[str, typer.Argument(help="A scene; see --list.")] = "",
+    to: Annotated[Path | None, typer.Option("--to", help="FILE.png: filmstrip; .gif, .mp4: animation.")] = None,
+    stepper: Annotated[str, typer.Option("--stepper", help="Another stepper: BackwardEuler, rk4, ...")] = "",
+    h: Annotated[float | None, typer.Option("--h", help="Another step size, s.")] = None,
+    steps: Annotated[int | None, typer.Option("--steps", help="Another number of steps.")] = None,
+    screen: Annotated[bool, typer.Option("--screen", help="Animate in a window.")] = False,
+    energy: Annotated[Path | None, typer.Option("--energy", help="Draw energy over time (.png, .svg).")] = None,
+    listed: Annotated[bool, typer.Option("--list", help="List the scenes.")] = False,
+) -> None:
+    """Simulate a scene and draw it: a filmstrip (SCENE.png unless --to says otherwise), or an animation.
+
+    Exit code 0: drawn. 1: the run failed; what was completed is drawn. 2: bad usage.
+
+    **Examples**
+
+    `dsim show --list` - the scenes
+
+    `dsim show cloth` - a filmstrip in cloth.png
+
+    `dsim show cloth --to cloth.gif` - an animation
+
+    `dsim show pendulum_stiff --stepper ForwardEuler` - see it blow up
+
+    `dsim show kepler --stepper rk4 --steps 3000 --energy energy.png` - energy over three periods
+    """
+    from dsim.report import showing
+
+    if listed or not scene:
+        typer.echo(showing.listing())
+        raise typer.Exit(0 if listed else 2)
+    raise typer.Exit(showing.show(showing.prepared(scene, stepper, h, steps), to, energy, screen))
+
+
+@app.command()
 def check(
     function: Annotated[str | None, typer.Argument(help="FILE.py:FUNCTION, x -> (value, gradient).")] = None,
     at: Annotated[str, typer.Option("--at", help="x: .npy, .npz, .json, or 0.1,0.2", metavar="X")] = "",

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import io
 import os
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal
 
@@ -12,6 +13,7 @@ import numpy as np
 
 from dsim.arrays.checks import Array, as_array, as_count, as_step
 from dsim.solve.newton import Status
+from dsim.steppers.explicit_run import ExplicitRun, applies
 from dsim.steppers.stepper import Counters, Ode, Step, Stepper
 
 Keep = Literal["states", "steps"]
@@ -28,7 +30,7 @@ class SimulationError(RuntimeError):
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
-    """States at t_0, ..., t_N.  t (N+1,) s, y (N+1,ny).
+    """States at t_0, ..., t_N.  t (N+1,) s, `.y` (N+1,ny).
 
     status: `converged`, or why the step after the last row failed.  counters: what the run cost.
     steps: every Step, when the run kept them; otherwise `step(n)` makes one from the states.
@@ -38,10 +40,19 @@ class Trajectory:
     system: Ode | None
     h: float
     t: Array
-    y: Array
+    states: Array | None  # None where the run has them
     status: Status = Status.CONVERGED
     counters: Counters = Counters()
     steps: tuple[Step, ...] | None = None
+    run: ExplicitRun | None = field(default=None, repr=False)  # an explicit run, ready to carry gradients back
+
+    @cached_property
+    def y(self) -> Array:
+        """States (N+1,ny); an explicit run turns its coordinate rows into them when they are first asked for."""
+        if self.states is not None:
+            return self.states
+        assert self.run is not None
+        return self.run.public_states()
 
     @property
     def n(self) -> int:
@@ -135,7 +146,7 @@ def simulate(stepper: Stepper, system: Ode, y0: Any, h: float, steps: int, keep:
     """
     trajectory = record(stepper, system, y0, h, steps, keep)
     if trajectory.status is not Status.CONVERGED:
-        raise SimulationError(_explain(trajectory), trajectory)
+        raise SimulationError(explain(trajectory), trajectory)
     return trajectory
 
 
@@ -145,12 +156,30 @@ def record(stepper: Stepper, system: Ode, y0: Any, h: float, steps: int, keep: K
     h, steps = as_step(h), as_count("steps", steps)
     if keep not in ("states", "steps"):
         raise ValueError(f'keep must be "states" or "steps"; got {keep!r}')
+    if applies(stepper, system):
+        return _explicit(ExplicitRun(stepper, system, h), y0, steps, keep)
     y = np.empty((steps + 1, system.size))
     y[0] = y0
+    return _stepwise(stepper, system, y, h, keep)
+
+
+def _explicit(run: ExplicitRun, y0: Array, steps: int, keep: Keep) -> Trajectory:
+    """All steps at once, on coordinate rows."""
+    with np.errstate(all="ignore"):
+        done = run.evaluate(y0, steps, keep_tape=keep == "steps")
+    status = Status.CONVERGED if done == steps else Status.NOT_FINITE
+    taken = done + (status is not Status.CONVERGED)
+    counters = Counters(forces=taken * len(run.tableau.stages))
+    t: Array = run.h * np.arange(done + 1, dtype=float)
+    return Trajectory(run.stepper, run.system, run.h, t, None, status, counters, run=run)
+
+
+def _stepwise(stepper: Stepper, system: Ode, y: Array, h: float, keep: Keep) -> Trajectory:
+    """Step after step, each with its status."""
     taken: list[Step] = []
-    done = 0
+    steps, done = len(y) - 1, 0
     with np.errstate(over="ignore", invalid="ignore"):
-        start = stepper.start(system, 0.0, y0, h)
+        start = stepper.start(system, 0.0, y[0], h)
         state, counters, status = start.y1, start.counters, start.status
         while done < steps and status is Status.CONVERGED:
             step = stepper.step(system, done * h, state, h)
@@ -165,7 +194,8 @@ def record(stepper: Stepper, system: Ode, y0: Any, h: float, steps: int, keep: K
     return Trajectory(stepper, system, h, t, y[: done + 1], status, counters, kept)
 
 
-def _explain(trajectory: Trajectory) -> str:
+def explain(trajectory: Trajectory) -> str:
+    """One line on a run that failed: the step, the status, what to do."""
     n = len(trajectory.t) - 1
     name = type(trajectory.stepper).__name__
     advice = {

@@ -18,6 +18,7 @@ from dsim.arrays.checks import Array, Numbers, as_array, as_count, as_positive
 from dsim.arrays.frozen import replace
 from dsim.arrays.scatter import diagonal
 from dsim.effects.effect import Effect
+from dsim.effects.rows import products
 from dsim.solve.linear import DENSE_SIZE
 
 if TYPE_CHECKING:
@@ -220,18 +221,10 @@ class System:
         for an effect that has a `vjp`."""
         by_q, by_v = np.zeros(self.n), np.zeros(self.n)
         for effect, parameters in zip(self.effects, self.layout, strict=True):
-            if hasattr(effect, "vjp"):
-                q_bar, v_bar, bar = effect.vjp(t, q, v, w)
-                by_q += q_bar
-                by_v += v_bar
-                _add(theta_bar, bar, parameters, getattr(effect, "columns", None))
-            else:
-                for capability, total in (("dq", by_q), ("dv", by_v)):
-                    if getattr(effect, capability, None) is not None:
-                        total += getattr(effect, capability)(t, q, v).T @ w
-                if parameters and getattr(effect, "dtheta", None) is not None:
-                    bar = effect.dtheta(t, q, v).T @ w
-                    _add(theta_bar, bar, parameters, getattr(effect, "columns", None))
+            q_bar, v_bar, bar = products(effect, t, (q, v), w)
+            by_q += q_bar
+            by_v += v_bar
+            _add(theta_bar, bar, parameters, getattr(effect, "columns", None))
         return by_q, by_v
 
     # The operations of a stage k = M^-1 f(t, q, v), pinned entries 0

@@ -11,6 +11,7 @@ import numpy as np
 from dsim.arrays.checks import Array, Numbers, as_array, as_nonnegative
 from dsim.arrays.frozen import replace
 from dsim.arrays.scatter import block_diagonal, diagonal, pointwise_jacobian
+from dsim.effects.rows import DragRows
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
@@ -61,6 +62,12 @@ class Drag:
         if isinstance(self.wind, np.ndarray):
             as_array("wind", self.wind, (dimension,))
         return replace(self, points=len(mass), dimension=dimension)
+
+    @property
+    def rows(self) -> Callable[[], DragRows] | None:
+        """In-place rows where the wind is the same everywhere."""
+        wind: Any = self.wind
+        return None if callable(wind) else lambda: DragRows(self.coefficient, wind)
 
     def _slip(self, t: float, q: Array, v: Array) -> Array:
         """v - v_air, (N,d)."""

@@ -9,6 +9,7 @@ import numpy as np
 
 from dsim.arrays.checks import Array, Numbers, as_array
 from dsim.arrays.frozen import replace
+from dsim.effects.rows import GravityRows
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
@@ -30,6 +31,10 @@ class Gravity:
     def bind(self, mass: Array, dimension: int) -> Gravity:
         as_array("acceleration", self.acceleration, (dimension,))
         return replace(self, mass=mass)
+
+    def rows(self) -> GravityRows:
+        assert self.mass is not None
+        return GravityRows(self.mass, self.acceleration)
 
     def force(self, t: float, q: Array, v: Array) -> Array:
         assert self.mass is not None

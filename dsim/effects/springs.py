@@ -10,6 +10,7 @@ import numpy as np
 from dsim.arrays.checks import Array, Numbers, as_nonnegative, as_pairs, check_indices
 from dsim.arrays.frozen import replace
 from dsim.arrays.scatter import ElementScatter
+from dsim.effects.rows import SpringRows
 from dsim.kernels.spring import SPRING, both_ends, directions, slackness
 
 if TYPE_CHECKING:
@@ -37,6 +38,10 @@ class Springs:
     def bind(self, mass: Array, dimension: int) -> Springs:
         check_indices("pairs", self.pairs, len(mass))
         return replace(self, scatter=ElementScatter(self.pairs, len(mass), dimension))
+
+    def rows(self) -> SpringRows:
+        assert self.scatter is not None
+        return SpringRows(self.pairs, self.rest_length, self.stiffness, (self.scatter.dimension, self.scatter.count))
 
     def _elements(self, q: Array) -> tuple[ElementScatter, Array, Array]:
         assert self.scatter is not None

@@ -32,7 +32,10 @@ def adjoint(trajectory: Trajectory, dJdy: Any) -> Gradient:
     number of parameters.  Raises ValueError on a wrong shape or a trajectory without its system.
     """
     stepper, system = trajectory.attached()
-    dJdy = as_array("dJdy", dJdy, trajectory.y.shape)
+    dJdy = as_array("dJdy", dJdy, (len(trajectory.t), system.size))
+    if trajectory.run is not None:
+        mu, theta_bar = trajectory.run.pull(dJdy)
+        return Gradient(mu + dJdy[0], theta_bar, system.split(theta_bar))
     mu = np.zeros(stepper.history * system.size)
     theta_bar = np.zeros(system.parameter_count)
     for n in range(len(trajectory.t) - 2, -1, -1):

@@ -99,10 +99,16 @@ def draw_frame(axes: Axes, film: Film, n: int) -> None:
         axes.add_collection(_springs(film, n))
     if scene.points <= 40:
         size = 60 if scene.points <= 3 else 14
-        axes.scatter(*places[free].T, s=size, color=COLOURS[0] if size > 14 else INK, zorder=4, linewidths=0)
-    axes.scatter(*places[pinned].T, s=42, marker="s", color="white", edgecolors=INK, linewidths=1.4, zorder=5)
+        axes.scatter(
+            places[free, 0], places[free, 1], s=size, color=COLOURS[0] if size > 14 else INK, zorder=4, linewidths=0
+        )
+    axes.scatter(
+        places[pinned, 0], places[pinned, 1], s=42, marker="s", color="white", edgecolors=INK, linewidths=1.4, zorder=5
+    )
     marks, _ = projected(scene.marks)
-    axes.scatter(*marks.T, s=150, marker="*", color=COLOURS[5], edgecolors=INK, linewidths=0.6, zorder=3)
+    axes.scatter(
+        marks[:, 0], marks[:, 1], s=150, marker="*", color=COLOURS[5], edgecolors=INK, linewidths=0.6, zorder=3
+    )
     _draw_motors(axes, film, n)
     axes.set(xlim=film.box[:, 0], ylim=film.box[:, 1], aspect="equal")
     axes.set_title(f"t = {film.trajectory.t[n]:.2f} s", fontsize=10, fontweight="normal")
@@ -142,7 +148,7 @@ def _draw_air(axes: Axes, film: Film, n: int) -> None:
         air = np.broadcast_to(effect.wind(film.trajectory.t[n], grid), grid.shape)
         fastest = max(1e-12, *(float(np.abs(effect.wind(t, grid)).max()) for t in film.trajectory.t[::10]))
         span = float(size.max()) / 7
-        arrows = {"angles": "xy", "scale_units": "xy", "width": 0.012, "minlength": 0.5}
+        arrows: dict[str, Any] = {"angles": "xy", "scale_units": "xy", "width": 0.012, "minlength": 0.5}
         axes.quiver(*grid.T, *(air * span / fastest).T, scale=1, color=AIR, zorder=0, **arrows)
 
 
@@ -152,7 +158,7 @@ def _draw_motors(axes: Axes, film: Film, n: int) -> None:
         if isinstance(effect, Actuation) and film.scene.dimension == 2:
             force = effect.forces[min(n, len(effect.forces) - 1)]
             span = 0.18 * float((film.box[1] - film.box[0]).max()) / max(1e-12, float(np.abs(effect.forces).max()))
-            arrows = {"angles": "xy", "scale_units": "xy", "width": 0.012, "minlength": 0.5}
+            arrows: dict[str, Any] = {"angles": "xy", "scale_units": "xy", "width": 0.012, "minlength": 0.5}
             axes.quiver(*film.places[n].T, *(span * force).T, scale=1, color=COLOURS[3], zorder=6, **arrows)
 
 
@@ -242,7 +248,7 @@ def stepping(trajectory: Trajectory) -> str:
 
 def energies(system: System, trajectory: Trajectory) -> tuple[Array, Array]:
     """Kinetic and potential energy of every state, (N+1,) J.  Motors do work: they have no potential here."""
-    stores = [e for e in system.having("energy") if not isinstance(e, Actuation)]
+    stores: list[Any] = [e for e in system.having("energy") if not isinstance(e, Actuation)]
     states = [system.blocks(y) for y in trajectory.y]
     kinetic = [system.kinetic(v) for _, v in states]
     potential = [sum(e.energy(t, q) for e in stores) for t, (q, _) in zip(trajectory.t, states, strict=True)]

@@ -82,6 +82,13 @@ def _words(check: Check) -> tuple[str, str, str, str]:
 
 
 @contextmanager
+def waiting(err: Console, what: str) -> Iterator[None]:
+    """A spinner on stderr; a terminal alone shows it."""
+    with err.status(what):
+        yield
+
+
+@contextmanager
 def counting(f: Callable[[Any], Any], what: str) -> Iterator[Callable[[Any], Any]]:
     """f, with a count of its calls on stderr once they have taken two seconds."""
     start, count, err = time.perf_counter(), 0, console(stderr=True)

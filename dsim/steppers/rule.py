@@ -113,6 +113,11 @@ def _tableau(rule: Any, form: int, components: int, h: float, eliminated: bool) 
     return eliminate(tableau) if eliminated else tableau
 
 
+def tableau_of(rule: Any, form: int, components: int, h: float) -> Tableau:
+    """The rule's stages and outcome in past states and rates alone."""
+    return _tableau(rule, form, components, h, True)
+
+
 def _check_form(stepper: RuleStepper, system: Ode) -> None:
     if stepper.form > system.components:
         raise ValueError(

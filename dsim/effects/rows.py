@@ -1,0 +1,176 @@
+"""Forces on coordinate rows, in place: what an explicit run evaluates again and again.
+
+Arrays are (d,N), one contiguous row a coordinate, instead of the (N,d) of the public interface; results are added
+into the caller's array; every buffer is made once.  An effect that offers `rows()` returns one of
+these; any other is wrapped in `PlainRows`.  A test holds each against the plain `force` and `vjp`.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dsim.arrays.checks import Array
+
+
+class Rows(Protocol):
+    """A bound effect on coordinate rows."""
+
+    saves: tuple[tuple[int, ...], ...]  # shapes of what `add_force` leaves for `add_vjp`
+
+    def add_force(self, t: float, x: Array, v: Array, out: Array, saved: tuple[Array, ...]) -> None:
+        """out (d,N) += force.  `saved` arrays are filled."""
+        ...
+
+    def add_vjp(self, t: float, place: tuple[Array, Array], w: Array, bars: Any, saved: tuple[Array, ...]) -> None:
+        """bars = (x_bar (d,N), v_bar (d,N), one array a parameter): each += its part of w^T d force."""
+        ...
+
+
+class GravityRows:
+    """m g: a constant."""
+
+    saves: tuple[tuple[int, ...], ...] = ()
+
+    def __init__(self, mass: Array, acceleration: Array) -> None:
+        self.mass, self.acceleration = mass, acceleration
+        self.weight = np.outer(acceleration, mass)
+
+    def add_force(self, t: float, x: Array, v: Array, out: Array, saved: tuple[Array, ...]) -> None:
+        out += self.weight
+
+    def add_vjp(self, t: float, place: tuple[Array, Array], w: Array, bars: Any, saved: tuple[Array, ...]) -> None:
+        _, _, mass, acceleration = bars
+        mass += self.acceleration @ w
+        acceleration += w @ self.mass
+
+
+class DragRows:
+    """-c (v - wind) with still air or a wind that is the same everywhere."""
+
+    saves: tuple[tuple[int, ...], ...] = ()
+
+    def __init__(self, coefficient: Array, wind: Array | None) -> None:
+        self.coefficient = coefficient
+        self.wind = None if wind is None else wind[:, None]
+
+    def _slip(self, v: Array) -> Array:
+        return v if self.wind is None else v - self.wind
+
+    def add_force(self, t: float, x: Array, v: Array, out: Array, saved: tuple[Array, ...]) -> None:
+        out -= self.coefficient * self._slip(v)
+
+    def add_vjp(self, t: float, place: tuple[Array, Array], w: Array, bars: Any, saved: tuple[Array, ...]) -> None:
+        _, v_bar, coefficient, *wind = bars
+        push = self.coefficient * w
+        v_bar -= push
+        by_point = self._slip(place[1]) * w
+        coefficient -= by_point.sum(axis=0) if coefficient.ndim else by_point.sum()
+        if wind:
+            wind[0] += push.sum(axis=1)
+
+
+class SpringRows:
+    """Springs.  The edge vectors e and 1/l are saved, so the way back has neither a root nor a division.
+
+    With s = l0/l and u = w_j - w_i: push = k [ (1 - s) u + s (e.u) e / l^2 ]; the gradient by the rest
+    length is k (e.u)/l, by the stiffness -(1 - s) (e.u).
+    """
+
+    def __init__(self, pairs: NDArray[np.int64], rest: Array, stiffness: Array, shape: tuple[int, int]) -> None:
+        d, points = shape
+        self.rest, self.stiffness = rest, stiffness
+        self.behind, self.ahead = (np.ascontiguousarray(column) for column in pairs.T)
+        self.ends = self._incidence(d, points, len(pairs))
+        self.saves = ((d, len(pairs)), (len(pairs),))
+        self.work, self.other, self.scale = np.empty(self.saves[0]), np.empty(self.saves[0]), np.empty(len(pairs))
+
+    def _incidence(self, d: int, points: int, edges: int) -> Any:
+        """(d N, d E): +1 where an edge begins, -1 where it ends; int32 indices halve the traffic."""
+        from scipy.sparse import csr_array
+
+        ones, columns, row = np.ones(d * edges), np.arange(d * edges), np.arange(d)[:, None] * points
+        ends = [(row + self.behind).ravel(), (row + self.ahead).ravel()]
+        places = (np.concatenate(ends), np.concatenate([columns, columns]))
+        matrix = csr_array((np.concatenate([ones, -ones]), places), shape=(d * points, d * edges))
+        matrix.indices, matrix.indptr = matrix.indices.astype(np.int32), matrix.indptr.astype(np.int32)
+        return matrix
+
+    def _edges(self, rows: Array, out: Array) -> None:
+        """Row values at the end of every edge minus those at its beginning."""
+        rows.take(self.ahead, 1, out, "clip")  # "clip" spares the bounds check that "raise" buffers for
+        rows.take(self.behind, 1, self.other, "clip")
+        np.subtract(out, self.other, out=out)
+
+    def add_force(self, t: float, x: Array, v: Array, out: Array, saved: tuple[Array, ...]) -> None:
+        edge, inverse = saved
+        self._edges(x, edge)
+        np.multiply(edge, edge, out=self.work)
+        np.add.reduce(self.work, axis=0, out=inverse)
+        np.sqrt(inverse, out=inverse)
+        np.divide(1.0, inverse, out=inverse)
+        if inverse.max(initial=0.0) == np.inf:  # coincident ends have no direction
+            inverse[inverse == np.inf] = 0.0
+        np.multiply(self.rest, inverse, out=self.scale)
+        np.subtract(1.0, self.scale, out=self.scale)
+        np.multiply(self.stiffness, self.scale, out=self.scale)
+        np.multiply(edge, self.scale, out=self.work)
+        out += (self.ends @ self.work.reshape(-1)).reshape(out.shape)
+
+    def add_vjp(self, t: float, place: tuple[Array, Array], w: Array, bars: Any, saved: tuple[Array, ...]) -> None:
+        (edge, inverse), (x_bar, _, rest, stiffness) = saved, bars
+        u, scale = self.work, self.scale
+        self._edges(w, u)
+        np.multiply(edge, u, out=self.other)
+        dot = np.add.reduce(self.other, axis=0)  # e.u
+        slack = self.rest * inverse
+        along = self.stiffness * dot
+        along *= inverse
+        rest += along
+        along *= slack
+        along *= inverse  # k s (e.u) / l^2
+        np.subtract(1.0, slack, out=scale)
+        dot *= scale
+        stiffness -= dot
+        scale *= self.stiffness
+        np.multiply(u, scale, out=u)
+        np.multiply(edge, along, out=self.other)
+        np.add(u, self.other, out=u)
+        x_bar += (self.ends @ u.reshape(-1)).reshape(x_bar.shape)
+
+
+class PlainRows:
+    """Any effect, through its public `force` and a system of its own for the products."""
+
+    saves: tuple[tuple[int, ...], ...] = ()
+
+    def __init__(self, effect: Any) -> None:
+        self.effect = effect
+
+    def add_force(self, t: float, x: Array, v: Array, out: Array, saved: tuple[Array, ...]) -> None:
+        out += self.effect.force(t, x.T.ravel(), v.T.ravel()).reshape(out.shape[::-1]).T
+
+    def add_vjp(self, t: float, place: tuple[Array, Array], w: Array, bars: Any, saved: tuple[Array, ...]) -> None:
+        q, v = (rows.T.ravel() for rows in place)
+        x_bar, v_bar, *parameters = bars
+        by_q, by_v, theta = products(self.effect, t, (q, v), w.T.ravel())
+        for bar, value in ((x_bar, by_q), (v_bar, by_v)):
+            if isinstance(value, np.ndarray):
+                bar += value.reshape(bar.shape[::-1]).T
+        start = 0
+        for bar in parameters:
+            if isinstance(theta, np.ndarray):
+                bar += theta[start : start + bar.size].reshape(bar.shape)
+            start += bar.size
+
+
+def products(effect: Any, t: float, place: tuple[Array, Array], w: Array) -> tuple[Any, Any, Any]:
+    """(dq^T w, dv^T w, dtheta^T w) of an effect: by its `vjp`, else by the matrices it has; 0 for a missing one."""
+    if getattr(effect, "vjp", None) is not None:
+        found: tuple[Any, Any, Any] = effect.vjp(t, *place, w)
+        return found
+    parts = [getattr(effect, capability, None) for capability in ("dq", "dv", "dtheta")]
+    by_q, by_v, theta = (0.0 if part is None else part(t, *place).T @ w for part in parts)
+    return by_q, by_v, theta

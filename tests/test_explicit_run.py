@@ -1,0 +1,105 @@
+"""Explicit runs on coordinate rows: the same states and gradients as the plain path, and nothing evaluated in vain."""
+
+import numpy as np
+import pytest
+
+from dsim import System, adjoint, catalog, simulate
+from dsim.effects import Drag, Field, Gravity, SpringDamping, Springs
+from dsim.effects.rows import PlainRows
+from dsim.simulation import _stepwise, record
+from dsim.solve import Status
+from dsim.steppers import ForwardEuler, SymplecticEuler
+from dsim.steppers import explicit_run as fast
+
+EXPLICIT = [s for s in catalog.STEPPERS if not s.implicit]
+
+
+def net(dimension, seed=0):
+    rng = np.random.default_rng(seed)
+    points, pairs = 6, [(0, 1), (1, 2), (2, 3), (3, 4), (4, 5), (5, 0), (0, 3), (1, 4)]
+    effects = (
+        Gravity(rng.normal(size=dimension)),
+        Drag(rng.uniform(0.1, 1.0, points), wind=rng.normal(size=dimension)),
+        Drag(0.3, name="still"),
+        Drag(0.2, wind=lambda t, x: np.sin(x + t), name="gusts"),
+        Springs(pairs, rng.uniform(0.5, 2.0, 8), rng.uniform(5.0, 30.0, 8)),
+        SpringDamping(pairs, 0.2),
+        Field(lambda x: -x),
+    )
+    system = System(rng.uniform(0.5, 2.0, points), effects, dimension, fixed=(2, 5))
+    return system, rng.normal(size=system.size)
+
+
+@pytest.mark.parametrize("dimension", [1, 2, 3])
+@pytest.mark.parametrize("stepper", EXPLICIT, ids=lambda s: type(s).__name__)
+@pytest.mark.parametrize("keep", ["states", "steps"])
+def test_rows_and_plain_path_agree(stepper, dimension, keep):
+    system, y0 = net(dimension)
+    run = simulate(stepper, system, y0, 0.01, 30, keep=keep)
+    assert run.run is not None and (run.run.tape is not None) == (keep == "steps")
+    y = np.empty_like(run.y)
+    y[0] = y0
+    plain = _stepwise(stepper, system, y, 0.01, "steps")
+    assert np.allclose(run.y, plain.y, rtol=1e-13, atol=1e-13) and run.counters == plain.counters
+    dJdy = np.random.default_rng(1).normal(size=run.y.shape)
+    one, two = adjoint(run, dJdy), adjoint(plain, dJdy)
+    assert np.allclose(one.y0, two.y0, rtol=1e-11, atol=1e-11)
+    assert np.allclose(one.theta, two.theta, rtol=1e-11, atol=1e-11 * np.abs(two.theta).max())
+
+
+@pytest.mark.parametrize("example", catalog.EFFECTS, ids=lambda e: e.name)
+def test_rows_of_an_effect_are_its_force_and_vjp(example):
+    """In place and added to what is there already; an effect without rows is wrapped."""
+    rng = np.random.default_rng(3)
+    system = System(rng.uniform(0.5, 2.0, 5), example.make(rng, 5, 3), 3)
+    effect = system.effects[0]
+    rows = effect.rows() if getattr(effect, "rows", None) is not None else PlainRows(effect)
+    x, v, w, out = rng.normal(size=(4, 3, 5))
+    flat = [a.T.ravel() for a in (x, v, w)]
+    saved, before = tuple(np.empty(shape) for shape in rows.saves), out.copy()
+    rows.add_force(0.03, x, v, out, saved)
+    assert np.allclose((out - before).T.ravel(), effect.force(0.03, *flat[:2]), rtol=1e-13, atol=1e-13)
+    theta_bar, expected = np.zeros((2, system.parameter_count))
+    by_q, by_v = system.vjp(0.03, *flat, expected)
+    views = [theta_bar[p.place].reshape(p.shape) for p in system.layout[0]]
+    pulled = np.zeros((2, 3, 5))
+    rows.add_vjp(0.03, (x, v), w, (*pulled, *views), saved)
+    for found, true in ((pulled[0].T.ravel(), by_q), (pulled[1].T.ravel(), by_v), (theta_bar, expected)):
+        assert np.allclose(found, true, rtol=1e-12, atol=1e-12)
+
+
+def test_coincident_ends_feel_no_force_on_either_path():
+    system = System([1.0, 1.0], Springs([(0, 1)], 1.0, 10.0), 2)
+    run = simulate(SymplecticEuler(), system, np.zeros(8), 0.1, 3, keep="steps")
+    assert (run.y == 0).all() and np.isfinite(adjoint(run, np.ones_like(run.y)).theta).all()
+
+
+@pytest.mark.parametrize("steps", [151, 152, 200, 1000])
+def test_the_step_that_overflows_is_named(steps):
+    system = System([1.0], Field(lambda x: -1e8 * x), 1)
+    run = record(ForwardEuler(), system, [1.0, 0.0], 0.01, steps)
+    assert len(run.t) - 1 == 151 and (run.status is Status.CONVERGED) == (steps == 151)
+    assert np.isfinite(run.y).all() and run.counters.forces == min(steps, 152)
+
+
+def test_a_tape_beyond_its_budget_is_not_kept_and_the_gradient_is_the_same(monkeypatch):
+    system, y0 = net(2)
+    runs = [simulate(SymplecticEuler(), system, y0, 0.01, 20, keep="steps")]
+    monkeypatch.setattr(fast, "TAPE_BYTES", 10)
+    runs.append(simulate(SymplecticEuler(), system, y0, 0.01, 20, keep="steps"))
+    assert runs[0].run.tape is not None and runs[1].run.tape is None
+    gradients = [adjoint(run, np.ones_like(run.y)).theta for run in runs]
+    assert np.array_equal(*gradients)
+
+
+def test_an_explicit_run_and_its_gradient_never_ask_for_a_matrix(monkeypatch):
+    def forbidden(*arguments):
+        raise AssertionError("a matrix was asked for")
+
+    for effect in (Gravity, Drag, Springs, SpringDamping, Field):
+        for capability in ("dq", "dv", "dtheta"):
+            if hasattr(effect, capability):
+                monkeypatch.setattr(effect, capability, forbidden)
+    system, y0 = net(3)
+    run = simulate(SymplecticEuler(), system, y0, 0.01, 5)
+    assert np.isfinite(adjoint(run, np.ones_like(run.y)).theta).all()
