@@ -47,6 +47,7 @@ def _frames(scene: Scene, trajectory: Trajectory) -> Iterator[Figure]:
             draw_frame(axes, ready, n)
             dress(axes, ready)
             dress_figure(figure, [axes], ready)
+            figure.suptitle(scene.name.replace("_", " "), x=0.01, ha="left", fontsize=12, fontweight="bold")
         yield figure
 
 
