@@ -118,10 +118,9 @@ class ExplicitRun:
         views = [[theta_bar[p.place].reshape(p.shape) for p in parameters] for parameters in system.layout]
         inertia = np.zeros(self.shape)  # k . w, summed over the steps
         loads = dJdy.reshape(steps + 1, 2, *self.shape[::-1]).transpose(0, 1, 3, 2)
-        loaded = dJdy.any(axis=1)
         mu: Any = tuple(np.zeros((2, *self.shape)))
         for n in range(steps - 1, -1, -1):
-            if loaded[n + 1]:
+            if dJdy[n + 1].any():
                 mu = tuple(bar + load for bar, load in zip(mu, loads[n + 1], strict=True))
             mu = self._pull_step(n, self.states[n], mu, (views, inertia))
         theta_bar[: len(system.mass)] -= inertia.sum(axis=0)
