@@ -130,9 +130,9 @@ class Scaled(Springs):
 
 
 def recast(effect, mutant):
-    """The same effect with another class's methods; whatever evaluates it by other means is taken away."""
+    """The same effect with another class's methods."""
     twin = replace(effect)
-    object.__setattr__(twin, "__class__", type(mutant.__name__, (mutant,), {"rows": None}))
+    object.__setattr__(twin, "__class__", mutant)
     return twin
 
 

@@ -166,6 +166,27 @@ class PlainRows:
             start += bar.size
 
 
+def rows_of(effect: Any) -> Rows:
+    """The effect's own rows, or `PlainRows`.
+
+    Rows stand for the force and the vjp they were written with: a subclass that overrides either loses them.
+    """
+    if getattr(effect, "rows", None) is None or _overridden(type(effect)):
+        return PlainRows(effect)
+    rows: Rows = effect.rows()
+    return rows
+
+
+def _overridden(kind: type) -> bool:
+    """Whether a class further down than the one with `rows` states the force or the vjp."""
+    for ancestor in kind.__mro__:
+        if "rows" in vars(ancestor):
+            return False
+        if "force" in vars(ancestor) or "vjp" in vars(ancestor):
+            return True
+    return False
+
+
 def products(effect: Any, t: float, place: tuple[Array, Array], w: Array) -> tuple[Any, Any, Any]:
     """(dq^T w, dv^T w, dtheta^T w) of an effect: by its `vjp`, else by the matrices it has; 0 for a missing one."""
     if getattr(effect, "vjp", None) is not None:

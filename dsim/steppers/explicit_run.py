@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from dsim.arrays.checks import Array
-from dsim.effects.rows import PlainRows, Rows
+from dsim.effects.rows import Rows, rows_of
 from dsim.steppers.rule import RuleStepper, tableau_of
 from dsim.steppers.tableau import Symbol, Tableau, combine
 from dsim.system import System
@@ -45,7 +45,7 @@ class ExplicitRun:
     def __post_init__(self) -> None:
         system = self.system
         self.shape = (system.dimension, len(system.mass))
-        self._rows = [_rows_of(effect) for effect in system.effects]
+        self._rows = [rows_of(effect) for effect in system.effects]
         self._scale = (system.free / system.masses).reshape(self.shape[::-1]).T.copy()  # M^-1, 0 at pins
         self._scratch = self._fresh()
 
@@ -166,13 +166,6 @@ class ExplicitRun:
             places.append((x, v))
             saved.append(kept)
         return places, saved
-
-
-def _rows_of(effect: Any) -> Rows:
-    if getattr(effect, "rows", None) is None:
-        return PlainRows(effect)
-    rows: Rows = effect.rows()
-    return rows
 
 
 def _value(part: Any, values: dict[Symbol, Array]) -> Array:
