@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from dsim.gradients import Gradient as Gradient
     from dsim.gradients import adjoint as adjoint
+    from dsim.planning import plan as plan
     from dsim.simulation import SimulationError as SimulationError
     from dsim.simulation import Trajectory as Trajectory
     from dsim.simulation import simulate as simulate
@@ -32,6 +33,7 @@ _HOMES = {
     "Trajectory": "dsim.simulation",
     "adjoint": "dsim.gradients",
     "newton": "dsim.solve",
+    "plan": "dsim.planning",
     "simulate": "dsim.simulation",
 }
 _MODULES = {"catalog", "effects", "gradients", "kernels", "pictures", "scenes", "simulation", "solve", "steppers",

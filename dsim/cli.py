@@ -92,6 +92,31 @@ def show(
 
 
 @app.command()
+def plan(
+    scene: Annotated[str, typer.Argument(help="A scene; see dsim show --list.")],
+    stepper: Annotated[str, typer.Option("--stepper", help="Another stepper.")] = "",
+    h: Annotated[float | None, typer.Option("--h", help="Another step size, s.")] = None,
+    gradient: Annotated[bool, typer.Option("--gradient", help="Plan for a gradient too.")] = False,
+    pay_back: Annotated[bool, typer.Option("--pay-back", help="What each effect costs and changes.")] = False,
+) -> None:
+    """What a run evaluates, what stays off and why, and what it really took.
+
+    Exit code 0: no warning. 1: the plan warns, or the run failed. 2: bad usage.
+
+    **Examples**
+
+    `dsim plan cloth` - the plan, predicted and actual counts
+
+    `dsim plan pendulum_stiff --stepper SymplecticEuler` - warns: h w_max is beyond the limit
+
+    `dsim plan soft_body --pay-back` - what each effect costs, and what it changes
+    """
+    from dsim.report import showing
+
+    raise typer.Exit(showing.planned(showing.prepared(scene, stepper, h), gradient, pay_back))
+
+
+@app.command()
 def check(
     function: Annotated[str | None, typer.Argument(help="FILE.py:FUNCTION, x -> (value, gradient).")] = None,
     at: Annotated[str, typer.Option("--at", help="x: .npy, .npz, .json, or 0.1,0.2", metavar="X")] = "",

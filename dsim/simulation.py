@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import io
 import os
+import zipfile
+import zlib
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -12,8 +14,9 @@ from typing import Any, Literal
 import numpy as np
 
 from dsim.arrays.checks import Array, as_array, as_count, as_step
+from dsim.planning import Plan
 from dsim.solve.newton import Status
-from dsim.steppers.explicit_run import ExplicitRun, applies
+from dsim.steppers.explicit_run import ExplicitRun
 from dsim.steppers.stepper import Counters, Ode, Step, Stepper
 
 Keep = Literal["states", "steps"]
@@ -116,12 +119,14 @@ class Trajectory:
                 values = {name: data[name] for name in data.files}
             counters = Counters(**{k[8:]: int(v) for k, v in values.items() if k.startswith("counter_")})
             y, t = values["y"], values["t"]
+            if y.ndim != 2 or t.shape != y.shape[:1]:
+                raise ValueError(f"t has shape {t.shape}, y {y.shape}")
             if system is not None and y.shape[1] != system.size:
                 raise ValueError(f"path must hold states of size {system.size}; {path} has {y.shape[1]}")
             return cls(stepper, system, float(values["h"]), t, y, Status(str(values["status"])), counters)
         except FileNotFoundError:
             raise
-        except (KeyError, OSError, EOFError, TypeError) as error:
+        except (KeyError, OSError, EOFError, TypeError, zipfile.BadZipFile, zlib.error, NotImplementedError) as error:
             raise ValueError(f"path must be a trajectory written by save; {path} is not ({error})") from error
         except ValueError as error:
             if "must hold states" in str(error):
@@ -152,11 +157,15 @@ def simulate(stepper: Stepper, system: Ode, y0: Any, h: float, steps: int, keep:
 
 def record(stepper: Stepper, system: Ode, y0: Any, h: float, steps: int, keep: Keep = "states") -> Trajectory:
     """`simulate`, but a failed step ends the trajectory with its status instead of raising."""
+    if isinstance(stepper, type) or not hasattr(stepper, "step"):
+        raise ValueError(f"stepper must be a method such as BackwardEuler(); got {stepper!r:.60}")
+    if not hasattr(system, "stage_residual"):
+        raise ValueError(f"system must be a System or a Flow; got {system!r:.60}")
     y0 = as_array("y0", y0, (system.size,))
     h, steps = as_step(h), as_count("steps", steps)
     if keep not in ("states", "steps"):
         raise ValueError(f'keep must be "states" or "steps"; got {keep!r}')
-    if applies(stepper, system):
+    if Plan(system, stepper, y0, h).rows:
         return _explicit(ExplicitRun(stepper, system, h), y0, steps, keep)
     y = np.empty((steps + 1, system.size))
     y[0] = y0
@@ -199,9 +208,9 @@ def explain(trajectory: Trajectory) -> str:
     n = len(trajectory.t) - 1
     name = type(trajectory.stepper).__name__
     advice = {
-        Status.NOT_FINITE: "the state overflowed; use a smaller h or an implicit stepper",
+        Status.NOT_FINITE: "the state overflowed or a force is NaN; use a smaller h or an implicit stepper",
         Status.MAX_ITERATIONS: "Newton did not converge; use a smaller h, globalize='energy' or more max_iterations",
         Status.LINE_SEARCH_FAILED: "no step length lowered the residual; use globalize='energy' or a smaller h",
-        Status.SINGULAR: "Newton's matrix has no inverse; the state is at a fold, or h is too large",
+        Status.SINGULAR: "Newton's matrix has no inverse (a fold, or h is too large) or is not finite",
     }[trajectory.status]
     return f"{name} failed in step {n} (t = {n * trajectory.h:.6g}): {trajectory.status}; {advice}"

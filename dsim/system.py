@@ -336,10 +336,12 @@ def _bound(effect: Any, mass: Array, dimension: int) -> Effect:
 def _as_effects(effects: Any) -> tuple[Effect, ...]:
     effects = tuple(effects) if isinstance(effects, Iterable) else (effects,)
     for effect in effects:
-        if not isinstance(effect, Effect):
+        if not isinstance(effect, Effect) or isinstance(effect, type):
             raise ValueError(f"effects must have a name and a force(t, q, v); got {effect!r:.60}")
     names = [effect.name for effect in effects]
     for name in names:
+        if not isinstance(name, str) or not name:
+            raise ValueError(f"an effect's name must be a word; got {name!r:.60}")
         if names.count(name) > 1:
             raise ValueError(f'effects must have different names; got two called {name!r} (use name="...")')
         if name == "mass" or "." in name:
@@ -348,9 +350,13 @@ def _as_effects(effects: Any) -> tuple[Effect, ...]:
 
 
 def _as_fixed(fixed: Sequence[int] | NDArray[np.int64], count: int) -> tuple[int, ...]:
-    indices = np.unique(np.asarray(fixed)) if np.size(fixed) else np.empty(0, dtype=int)
-    if not np.issubdtype(indices.dtype, np.integer):
+    try:
+        indices = np.atleast_1d(fixed) if np.size(fixed) else np.empty(0, dtype=int)
+    except ValueError as error:  # rows of different lengths
+        raise ValueError(f"fixed must be whole numbers, indices of points; got {fixed!r:.60}") from error
+    if indices.ndim != 1 or not np.issubdtype(indices.dtype, np.integer):
         raise ValueError(f"fixed must be whole numbers, indices of points; got {fixed!r:.60}")
+    indices = np.unique(indices)
     if indices.size and (indices[0] < 0 or indices[-1] >= count):
         bad = indices[0] if indices[0] < 0 else indices[-1]
         raise ValueError(f"fixed must be indices from 0 to {count - 1}; got {bad}")
@@ -391,6 +397,8 @@ class Flow:
     def __post_init__(self) -> None:
         if not callable(self.phi):
             raise ValueError(f"phi must be a callable (t, y) -> (ny,); got {self.phi!r:.60}")
+        if self.jacobian is not None and not callable(self.jacobian):
+            raise ValueError(f"jacobian must be a callable (t, y) -> (ny,ny); got {self.jacobian!r:.60}")
         object.__setattr__(self, "size", as_count("size", self.size, least=1))
 
     @property

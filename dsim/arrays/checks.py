@@ -17,12 +17,16 @@ def as_array(name: str, value: Any, shape: Sequence[int | None] | None = None) -
 
     Raises ValueError naming the argument when the value is not numeric, not finite or of another shape.
     """
+    kind = "a number" if shape is not None and len(shape) == 0 else "numbers"
     try:
+        if value is None:  # which NumPy would take for NaN
+            raise TypeError("None is no number")
         array = np.array(value, dtype=np.float64)
     except (TypeError, ValueError) as error:
-        raise ValueError(f"{name} must be numbers; got {value!r:.60}") from error
+        raise ValueError(f"{name} must be {kind}; got {value!r:.60}") from error
     if shape is not None and not _fits(array.shape, shape):
-        raise ValueError(f"{name} must have shape {_shape_text(shape)}; got {array.shape}")
+        wanted = f"have shape {_shape_text(shape)}" if len(shape) else "be a number"
+        raise ValueError(f"{name} must {wanted}; got {'shape ' if not len(shape) else ''}{array.shape}")
     if not np.isfinite(array).all():
         raise ValueError(f"{name} must be finite; got {_first(array, ~np.isfinite(array))}")
     array.setflags(write=False)
@@ -54,16 +58,19 @@ def as_count(name: str, value: Any, least: int = 0) -> int:
     """A whole number >= `least`."""
     try:
         count = int(value)
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         raise ValueError(f"{name} must be a whole number >= {least}; got {value!r:.60}") from error
-    if count != value or count < least:
+    if np.ndim(value) or count != value or count < least:
         raise ValueError(f"{name} must be a whole number >= {least}; got {value!r:.60}")
     return count
 
 
 def as_pairs(name: str, value: Any) -> NDArray[np.int64]:
     """(E,2) point indices, each >= 0 and no pair joining a point to itself."""
-    pairs = np.array(value)
+    try:
+        pairs = np.array(value)
+    except ValueError as error:  # rows of different lengths
+        raise ValueError(f"{name} must be whole numbers of shape (E, 2); got {value!r:.60}") from error
     if pairs.size == 0:
         pairs = np.empty((0, 2), dtype=np.int64)
     if pairs.ndim != 2 or pairs.shape[1] != 2 or not np.issubdtype(pairs.dtype, np.integer):
@@ -75,7 +82,7 @@ def as_pairs(name: str, value: Any) -> NDArray[np.int64]:
     if (pairs < 0).any():
         row = int(np.flatnonzero((pairs < 0).any(axis=1))[0])
         raise ValueError(f"{name} must be indices >= 0; got {tuple(pairs[row].tolist())} at row {row}")
-    pairs = pairs.astype(np.int64)
+    pairs = np.minimum(pairs, np.iinfo(np.int64).max).astype(np.int64)  # no unsigned index wraps round
     pairs.setflags(write=False)
     return pairs
 

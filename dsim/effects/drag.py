@@ -42,6 +42,9 @@ class Drag:
         object.__setattr__(self, "coefficient", coefficient)
         if self.wind is not None and not callable(self.wind):
             object.__setattr__(self, "wind", as_array("wind", self.wind, (None,)))
+        if self.wind_jacobian is not None and not (callable(self.wind_jacobian) and callable(self.wind)):
+            given = repr(self.wind_jacobian)
+            raise ValueError(f"wind_jacobian must be a callable (t, x), for a callable wind; got {given:.60}")
 
     @property
     def differenced(self) -> bool:

@@ -12,11 +12,13 @@ from dsim import catalog
 from dsim.pictures import animation
 from dsim.pictures import scene as pictures
 from dsim.pictures.style import save
+from dsim.planning import plan
 from dsim.report.terminal import console, waiting
 from dsim.scenes import Scene
 from dsim.simulation import Trajectory, explain, record
 from dsim.solve import Status
 from dsim.steppers import RuleStepper
+from dsim.studies import effect_cost
 from dsim.system import System
 
 FILMSTRIPS, ANIMATIONS = (".png", ".svg"), (".gif", ".mp4")
@@ -104,3 +106,23 @@ def visible(trajectory: Trajectory) -> Trajectory:
 def _check_suffix(name: str, path: Path, known: tuple[str, ...]) -> None:
     if path.suffix.lower() not in known:
         raise ValueError(f"{name} must end in {', '.join(known)}; got {path}")
+
+
+def planned(scene: Scene, gradient: bool = False, pay_back: bool = False) -> int:
+    """Print the plan of a scene and what the run took; the exit code: 1 where the plan warns or the run fails."""
+    made = plan(scene.system, scene.stepper, scene.y0, scene.h, ("gradient",) if gradient else ())
+    out, err = console(), console(stderr=True)
+    out.print(str(made), markup=False, soft_wrap=True)
+    with waiting(err, f"simulating {scene.name}"):
+        trajectory = record(scene.stepper, scene.system, scene.y0, scene.h, scene.steps)
+    out.print(made.compared(trajectory.counters, len(trajectory.t) - 1), markup=False, soft_wrap=True)
+    failed = trajectory.status is not Status.CONVERGED
+    if failed:
+        err.print(explain(trajectory), style="red", markup=False, soft_wrap=True)
+    if pay_back and not failed:
+        with waiting(err, "leaving out one effect after another"):
+            rows = effect_cost.pay_back(scene)
+        out.print(f"{'effect':18s} {'time with/without':>18s} {'change when left out':>21s}", markup=False)
+        for row in rows:
+            out.print(f"{row.effect:18s} {row.cost:18.2f} {row.change:20.1%} ", markup=False)
+    return int(failed or bool(made.warnings))

@@ -9,7 +9,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from dsim.arrays.checks import Array, as_array, as_positive
+from dsim.arrays.checks import Array, as_array, as_count, as_positive
 from dsim.solve.linear import Factor, SingularMatrixError, factorize, make_definite
 
 Globalize = Literal["none", "line_search", "energy"]
@@ -98,7 +98,7 @@ class _Problem:
         self.residual, self.linearize, self.size = residual, linearize, size
         self.energy = globalize if callable(globalize) else None
         self.search = globalize != "none"
-        self.max_iterations = max_iterations
+        self.max_iterations = as_count("max_iterations", max_iterations, least=1)
         self.evaluations = 0
 
     def evaluate(self, z: Array) -> Array:
@@ -114,6 +114,9 @@ class _Problem:
     def direction(self, z: Array, r: Array) -> tuple[Array, Factor]:
         jacobian = self.linearize(z)
         if not hasattr(jacobian, "solve"):
+            if getattr(jacobian, "shape", None) != (len(z), len(z)):
+                got = getattr(jacobian, "shape", type(jacobian).__name__)
+                raise ValueError(f"linearize must return shape {(len(z), len(z))}, or an object with .solve; got {got}")
             jacobian = factorize(make_definite(jacobian) if self.energy else jacobian)
         return -jacobian.solve(r), jacobian
 

@@ -16,6 +16,7 @@ class ForwardEuler(RuleStepper):
     """y_{n+1} = y_n + h phi(t_n, y_n).  Order 1; blows up when h is too large."""
 
     order = 1
+    frequency_limit = 0.0
 
     def rule(self, y: Any, phi: Any, t: float, h: float) -> Any:
         return y[0] + h * phi(t, y[0])
@@ -30,6 +31,7 @@ class SymplecticEuler(RuleStepper):
 
     order = 1
     form = 2
+    frequency_limit = 2.0
 
     def rule(self, q: Any, v: Any, a: Any, t: float, h: float) -> Any:
         v1 = v[0] + h * a(t, q[0], v[0])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -18,6 +19,7 @@ class VelocityVerlet(RuleStepper):
 
     order = 2
     form = 2
+    frequency_limit = 2.0
 
     def rule(self, q: Any, v: Any, a: Any, t: float, h: float) -> Any:
         a0 = a(t, q[0], v[0])
@@ -30,6 +32,7 @@ class RK4(RuleStepper):
     """The classical Runge-Kutta method: slopes at the start, twice in the middle, at the end.  Order 4."""
 
     order = 4
+    frequency_limit = math.sqrt(8.0)
 
     def rule(self, y: Any, phi: Any, t: float, h: float) -> Any:
         k1 = phi(t, y[0])

@@ -15,6 +15,7 @@ coefficients from which the Newton matrix, A, B, C, the tangent and the pullback
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
@@ -44,6 +45,7 @@ class RuleStepper:
     form = 1  # the order of the differential equation the rule is written for
     history = 1
     implicit = False
+    frequency_limit = math.inf  # an undamped oscillation grows where h w exceeds this
 
     def rule(self, *arguments: Any) -> Any:
         raise NotImplementedError(f"{type(self).__name__} must state its rule")

@@ -1,0 +1,181 @@
+"""Which effect runs where, and why the rest does not.
+
+The data of the scene chooses: a plan looks at it once, before the first step, and `simulate` follows it.  No flag is
+tested inside a step.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, Literal
+
+import numpy as np
+
+from dsim.arrays.checks import Array, as_array, as_step
+from dsim.solve.linear import DENSE_SIZE
+from dsim.steppers.explicit_run import applies
+from dsim.steppers.stepper import Counters, Ode, Stepper
+from dsim.system import System
+
+WANTS = ("gradient",)
+
+
+@dataclass(frozen=True)
+class Line:
+    """One stage: on, idle or off; what it is, and why - for what is off, how to switch it on."""
+
+    state: Literal["on", "idle", "off", "warn"]
+    stage: str
+    why: str
+
+    def __str__(self) -> str:
+        return f" {self.state:5s} {self.stage:22s} {self.why}"
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """What a run will evaluate.  `print(plan)` shows it; `predicted` is exact for explicit steppers."""
+
+    system: Ode
+    stepper: Stepper
+    y0: Array
+    h: float
+    want: tuple[str, ...] = ()
+
+    @property
+    def rows(self) -> bool:
+        """Whether forces are evaluated in place, on coordinate rows."""
+        return applies(self.stepper, self.system)
+
+    @property
+    def implicit(self) -> bool:
+        return bool(getattr(self.stepper, "implicit", False))
+
+    @cached_property
+    def predicted(self) -> Counters:
+        """Counts of one step: exact for explicit steppers, the least possible for implicit ones."""
+        system = self.system.at(0.0, self.y0, self.h)
+        start = self.stepper.start(system, 0.0, self.y0, self.h)
+        if not self.implicit:
+            return self.stepper.step(system, 0.0, start.y1, self.h).counters
+        return Counters(forces=2, jacobians=1, factorizations=1, solves=1, newton_iterations=1)
+
+    @cached_property
+    def lines(self) -> tuple[Line, ...]:
+        return tuple([*self._effects(), *self._stages(), *self._warnings()])
+
+    @property
+    def warnings(self) -> tuple[Line, ...]:
+        return tuple(line for line in self.lines if line.state == "warn")
+
+    def _effects(self) -> Iterator[Line]:
+        if not isinstance(self.system, System):
+            yield Line("on", "flow", f"{self.predicted.forces} evaluations a step")
+            return
+        each = "at least " if self.implicit else ""
+        for effect in self.system.effects:
+            where = "in place" if self.rows and getattr(effect, "rows", None) is not None else "by its force"
+            yield Line("on", effect.name, f"{each}{self.predicted.forces} calls a step, {where}")
+            if getattr(effect, "differenced", False):
+                yield Line("on", f"{effect.name} differences", "no Jacobian was given: 9 to 10 digits, extra calls")
+
+    def _stages(self) -> Iterator[Line]:
+        needs = self.implicit
+        yield Line("on" if needs else "off", "Jacobians, factorization", self._linear_algebra())
+        if "gradient" in self.want:
+            why = "the states; keep='steps' also saves what the way back needs" if self.rows else "the states"
+            yield Line("on", "tape", why)
+        else:
+            yield Line("off", "tape", "no gradient asked for (want=('gradient',))")
+        if isinstance(self.system, System):
+            pins = len(self.system.fixed)
+            yield Line("on" if pins else "off", "pins", f"{pins} points" if pins else "no point is fixed (fixed=...)")
+            yield Line("off", "contact, friction", "the system has no colliders")
+            yield Line("off", "gyroscopic torque", "points have no inertia")
+
+    def _linear_algebra(self) -> str:
+        if not self.implicit:
+            return "explicit stepper (choose an implicit one)"
+        size = self.system.n
+        kind = "dense" if size <= DENSE_SIZE else "sparse"
+        return f"one each a Newton iteration, {kind} {size} x {size}"
+
+    def _warnings(self) -> Iterator[Line]:
+        limit = getattr(self.stepper, "frequency_limit", np.inf)
+        if not isinstance(self.system, System) or not np.isfinite(limit):
+            return
+        w = highest_frequency(self.system, self.y0)
+        if self.h * w > limit:
+            remedy = f"use an implicit stepper, or h < {limit / w:.2g}" if limit else "use SymplecticEuler, or damp"
+            yield Line("warn", f"h w_max = {self.h * w:.3g} > {limit:.3g}", remedy)
+        d = highest_damping(self.system, self.y0)
+        if self.h * d > 2:
+            yield Line("warn", f"h d_max = {self.h * d:.3g} > 2", f"damping blows up: implicit, or h < {2 / d:.2g}")
+
+    def __str__(self) -> str:
+        size = f"{len(self.system.mass)} points" if isinstance(self.system, System) else f"{self.system.n} unknowns"
+        head = f"plan: {size}, {type(self.stepper).__name__}, h = {self.h:.4g} s"
+        return "\n".join([head, *(str(line) for line in self.lines)])
+
+    def compared(self, counters: Counters, steps: int) -> str:
+        """Predicted and actual counts of a run side by side."""
+        sign = ">=" if self.implicit else "=="
+        rows = [f"{'a step':18s} {'predicted':>12s} {'actual':>10s}"]
+        for name in ("forces", "jacobians", "factorizations", "newton_iterations"):
+            predicted, actual = getattr(self.predicted, name), getattr(counters, name) / max(steps, 1)
+            rows.append(f"{name:18s} {sign + ' ' + str(predicted):>12s} {actual:10.3g}")
+        return "\n".join(rows)
+
+
+def plan(system: Ode, stepper: Stepper, y0: Any, h: float, want: tuple[str, ...] = ()) -> Plan:
+    """What `simulate` would evaluate, and why the rest stays off.  want: ("gradient",) where one is asked for.
+
+    Raises ValueError on bad input.
+
+    >>> from dsim.effects import Gravity
+    >>> from dsim.steppers import SymplecticEuler
+    >>> print(plan(System([1.0], Gravity([0.0, -9.8]), 2), SymplecticEuler(), [0, 0, 1, 1], h=0.1))
+    plan: 1 points, SymplecticEuler, h = 0.1 s
+     on    gravity                1 calls a step, in place
+     off   Jacobians, factorization explicit stepper (choose an implicit one)
+     off   tape                   no gradient asked for (want=('gradient',))
+     off   pins                   no point is fixed (fixed=...)
+     off   contact, friction      the system has no colliders
+     off   gyroscopic torque      points have no inertia
+    """
+    for item in want:
+        if item not in WANTS:
+            raise ValueError(f"want must name some of {', '.join(WANTS)}; got {item!r}")
+    return Plan(system, stepper, as_array("y0", y0, (system.size,)), as_step(h), tuple(want))
+
+
+def highest_frequency(system: System, y0: Array) -> float:
+    """w_max, rad/s: the root of the largest eigenvalue of -M^-1 K at y0 (symmetric part), pinned points left out."""
+    if not system.having("dq"):
+        return 0.0
+    return float(np.sqrt(max(0.0, _largest(system, -system.dq(0.0, *system.blocks(y0))))))
+
+
+def highest_damping(system: System, y0: Array) -> float:
+    """d_max, 1/s: the largest eigenvalue of -M^-1 D at y0 (symmetric part)."""
+    if not system.having("dv"):
+        return 0.0
+    return max(0.0, _largest(system, -system.dv(0.0, *system.blocks(y0))))
+
+
+def _largest(system: System, matrix: Any) -> float:
+    """The largest eigenvalue of M^-1/2 (A + A^T)/2 M^-1/2 on the free degrees of freedom."""
+    from scipy.sparse import csr_array, diags_array
+
+    scale = diags_array(system.free / np.sqrt(system.masses))
+    symmetric = csr_array(scale @ (matrix + matrix.T) @ scale) * 0.5
+    if not system.free.any():
+        return 0.0
+    if system.n <= DENSE_SIZE:
+        return float(np.linalg.eigvalsh(symmetric.toarray())[-1])
+    from scipy.sparse.linalg import eigsh
+
+    start = np.random.default_rng(0).normal(size=system.n)
+    return float(eigsh(symmetric, k=1, which="LA", v0=start, tol=1e-4, return_eigenvectors=False)[0])
