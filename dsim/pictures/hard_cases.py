@@ -26,7 +26,8 @@ def _panel(axes: Axes, panel: Panel) -> None:
     label(axes, panel.x, panel.y, panel.title)
     if _huge(panel):
         panel = _exponents(axes, panel)
-    axes.set_yscale(panel.scale)
+    else:
+        axes.set_yscale(panel.scale)
     if panel.contours:
         axes.contour(*panel.contours, levels=24, colors="#8c959f", linewidths=0.6, linestyles="-")
     for number, curve in enumerate(panel.curves):
@@ -35,7 +36,7 @@ def _panel(axes: Axes, panel: Panel) -> None:
         axes.set_aspect("equal", adjustable="datalim" if not panel.contours else "box")
     if panel.note:
         axes.text(
-            0.0, -0.2, panel.note, transform=axes.transAxes, ha="left", va="top", fontsize=10, color="#57606a",
+            0.0, -0.17, panel.note, transform=axes.transAxes, ha="left", va="top", fontsize=10, color="#57606a",
         )  # fmt: skip
     if panel.curves:
         axes.legend(loc="best", fontsize=9)
@@ -61,5 +62,5 @@ def _curve(axes: Axes, curve: Curve, number: int) -> None:
         axes.plot(curve.x, curve.y, **looks | {"linestyle": "none", "markersize": 4.5}, label=curve.label)
         return
     count = int(np.isfinite(curve.y).sum())
-    looks |= {"marker": looks["marker"] if count <= 60 else "", "markersize": 4.5}
+    looks |= {"marker": looks["marker"] if count <= 30 else "", "markersize": 4.5}
     axes.plot(curve.x, curve.y, **looks, label=curve.label)

@@ -20,8 +20,8 @@ class Curve:
     """One curve to draw: x and y (n,), as a line or as points; not finite entries are left out."""
 
     label: str
-    x: Array
-    y: Array
+    x: NDArray[Any]
+    y: NDArray[Any]
     points: bool = False
 
 
@@ -144,7 +144,7 @@ def _check(check: Check) -> Mapping[str, Any]:
 
 
 def _panel(panel: Panel) -> Mapping[str, Any]:
-    def series(values: Array) -> list[float | None]:
+    def series(values: NDArray[Any]) -> list[float | None]:
         return [_finite(value) for value in values]
 
     curves = [{"label": c.label, "x": series(c.x), "y": series(c.y)} for c in panel.curves]

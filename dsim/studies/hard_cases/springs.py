@@ -186,8 +186,9 @@ def coincident_ends(full: bool = False, springs: Callable[[], Any] = library_spr
         ),
         (
             Panel(
-                "Textbook formula", "time (s)", "height (m)", (Curve("-k (l - $l_0$) x/l", naive.t, naive.q[:, 1], True),),
-                "0/0 = NaN in step 1: nothing to draw",
+                "Textbook formula", "time (s)", "height (m)",
+                (Curve("-k (l - $l_0$) x/l", naive.t, naive.q[:, 1], True), Curve("the motion", run.t, run.q[:, 3])),
+                "0/0 = NaN in step 1: only the start can be drawn",
             ),
             Panel("Documented f = 0", "time (s)", "height (m)", (Curve("dsim Springs", run.t, run.q[:, 3]),)),
         ),
@@ -246,6 +247,7 @@ def compressed_spring(full: bool = False, globalize: Globalize = "energy") -> Ha
     heights, climbs = (np.array([problem.energy(x) for x in steps]) for steps in (path, naive_path))
     climb = float(np.diff(climbs).max())
     rise = float(np.diff(heights).max()) if len(heights) > 1 else np.inf
+    fell = f"falls {len(heights) - 1} times"
     end = np.linalg.eigvalsh(problem.matrix(good.z)).min()
     stepper = record(BackwardEuler(globalize="energy"), system, np.concatenate([[0, 0], q, [0, 0], v]), h, 1)
     apart = float(np.abs(stepper.q[-1, 2:] - good.z).max()) if len(stepper.t) == 2 else np.inf
@@ -264,7 +266,7 @@ def compressed_spring(full: bool = False, globalize: Globalize = "energy") -> Ha
             at_most("BackwardEuler", "distance of its step from that minimum (m)", apart, 1e-8),
         ),
         _landscapes(problem, naive_path, path, slope),
-        (f"climbs {climb:.2g} J", f"max change {rise:.1g}", "energy falls"),
+        (f"climbs {climb:.2g} J", fell if rise < 0 else f"rises {rise:.1g} J", "energy falls"),
     )  # fmt: skip
 
 
@@ -317,12 +319,13 @@ def _threshold_holds(k: float) -> bool:
 
 
 def _landscapes(problem: _Implicit, naive: list[Array], good: list[Array], slope: float) -> tuple[Panel, Panel]:
-    x, y = np.linspace(-1.3, 1.5, 71), np.linspace(-1.35, 1.45, 71)
-    heights = np.array([[problem.energy(np.array([a, b])) for a in x] for b in y])
+    ranges = ((0.35, 0.65, -0.15, 0.15), (-1.5, 1.1, -1.1, 1.5))  # the naive step is small: drawn larger
     panels = []
-    notes = (f"first step climbs: slope +{slope:.3g} J", "the energy falls in every iteration")
+    notes = (f"the first step climbs towards a saddle: slope +{slope:.3g} J", "the energy falls in every iteration")
     titles = ("Plain Newton", "Projected, with line search")
-    for title, path, note in zip(titles, (naive, good), notes, strict=True):
+    for title, path, note, (left, right, low, high) in zip(titles, (naive, good), notes, ranges, strict=True):
+        x, y = np.linspace(left, right, 51), np.linspace(low, high, 51)
+        heights = np.array([[problem.energy(np.array([a, b])) for a in x] for b in y])
         places = np.array(path)
         curves = (
             Curve("iterates", places[:, 0], places[:, 1], False),
