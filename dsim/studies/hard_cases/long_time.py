@@ -181,14 +181,14 @@ def free_net(
     full: bool = False, survivor: Stepper = SYMPLECTIC["symplectic Euler"], inner: Any = None
 ) -> HardCaseResult:
     """Internal central forces on a free spring net: P and L are constant.  h = 0.02 s, 1e4 steps with symplectic
-    Euler; the implicit midpoint rule takes 1e4 in full, else 300.  inner: tolerance of its CG, None for direct solves.
+    Euler; the implicit midpoint rule takes 1e4 in full, else 200.  inner: tolerance of its CG, None for direct solves.
 
     A loose Newton tolerance alone leaks no P: the columns of K sum to 0, so every Newton correction with an exact
     linear solve keeps sum M k = 0, however early it stops.  P leaks when the *linear* systems are solved loosely (a
     residual of CG is a force from nowhere); and L, a quadratic invariant, leaks when Newton stops early.
     """
     system, y0 = spring_net()
-    h, steps, implicit = 0.02, 10_000, 10_000 if full else 300
+    h, steps, implicit = 0.02, 10_000, 10_000 if full else 200
     quick = momenta(system, record(survivor, system, y0, h, steps).y)
     loose = momenta(system, record(ImplicitMidpoint(tol=0.5, globalize="none"), system, y0, h, implicit).y)
     leaky = momenta(system, midpoint_by_cg(system, y0, h, implicit, 0.01))
