@@ -16,8 +16,6 @@ from dsim.studies.hard_cases import Curve, HardCase, HardCaseResult, Panel
 def side_by_side(case: HardCase, result: HardCaseResult) -> Figure:
     """Both panels of a case, with its number and title above."""
     figure, axes = canvas(columns=2, size=(11.0, 4.6))
-    figure.set_layout_engine("none")  # all cases share one layout; solving for it again takes longer than drawing
-    figure.subplots_adjust(left=0.08, right=0.985, top=0.85, bottom=0.2, wspace=0.22)
     figure.suptitle(f"{case.number}. {case.title[0].upper()}{case.title[1:]}", x=0.01, ha="left", weight="bold")
     for half, panel in zip(axes, result.panels, strict=True):
         _panel(half, panel)
