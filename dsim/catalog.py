@@ -26,8 +26,10 @@ from dsim.steppers import (
     TwoStepBackwardEuler,
     VelocityVerlet,
 )
+from dsim.studies import hard_cases
 from dsim.studies.convergence import OrderProblem, leaf_in_river, pendulum_in_wind
 from dsim.studies.derivatives import EffectExample
+from dsim.studies.hard_cases import HardCase
 from dsim.studies.reference import DOP853, RADAU, Reference
 
 
@@ -115,4 +117,63 @@ SCENES: tuple[Callable[..., Any], ...] = (
     scenes.kepler,
     scenes.robot,
     scenes.river,
+)
+
+HARD_CASES: tuple[HardCase, ...] = (
+    HardCase(
+        1,
+        "a very stiff spring",
+        "k = 1e8 N/m, m = 1 kg, h = 0.01 s",
+        "the motion is bounded; backward Euler multiplies the energy by 1/(1 + h^2 w^2) each step",
+        hard_cases.stiff_spring,
+    ),
+    HardCase(
+        2,
+        "the edge of stability",
+        "symplectic Euler at h w = 1.99 and 2.01, 1e4 steps from x = 1 at rest",
+        "|x| <= 1/sqrt(1 - (h w/2)^2) = 10.0125 at 1.99, and no bound from 2 on",
+        hard_cases.edge_of_stability,
+    ),
+    HardCase(
+        3,
+        "coincident ends",
+        "a spring with l0 = 1 m whose ends are in one place",
+        "the force has no direction: 0/0, so it must be documented, here f = 0",
+        hard_cases.coincident_ends,
+    ),
+    HardCase(
+        4,
+        "a compressed spring",
+        "a loaded 2-D spring at l = l0/2, one end fixed, a backward Euler step with h^2 k/m = 4",
+        "K has the eigenvalues k and -k: the matrix of the step is indefinite",
+        hard_cases.compressed_spring,
+    ),
+    HardCase(
+        5,
+        "Newton overshoots",
+        "minimise sqrt(1 + x^2) from 1, 1.1 and 100",
+        "the minimum is at 0; Newton's step is x -> -x^3",
+        hard_cases.overshooting_newton,
+    ),
+    HardCase(
+        8,
+        "a planet's orbit",
+        "Kepler with e = 0.6 from the pericentre, 1000 steps a period (20 periods unless in full)",
+        "energy and angular momentum are constant",
+        hard_cases.orbit,
+    ),
+    HardCase(
+        9,
+        "momenta of a free net",
+        "a free spring net under internal central forces, 1e4 steps",
+        "linear and angular momentum are constant",
+        hard_cases.free_net,
+    ),
+    HardCase(
+        45,
+        "the norm at zero",
+        "gradients through |x| where x = 0, alone and inside a simulation",
+        "|x| has a kink there: 0 is a subgradient, and nothing may become NaN",
+        hard_cases.norm_at_zero,
+    ),
 )

@@ -166,6 +166,48 @@ def check(
     raise typer.Exit({"smooth": 0, "wrong": 1}.get(report.verdict, 2))
 
 
+@app.command(name="hard-cases")
+def hard_cases(
+    numbers: Annotated[list[int] | None, typer.Argument(help="Cases to run; all of them if none.", metavar="N")] = None,
+    listing: Annotated[bool, typer.Option("--list", help="Print set-ups and truths, run nothing.")] = False,
+    to: Annotated[
+        Path | None,
+        typer.Option("--to", help="Write case_NN.png and hard_cases.json there; by default no file.", metavar="DIR"),
+    ] = None,
+    full: Annotated[bool, typer.Option("--full", help="100 periods, 1e4 implicit steps: about a minute more.")] = False,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress on stderr.")] = False,
+) -> None:
+    """Where the naive method fails, next to one that survives.
+
+    Exit code 0: every failure was reproduced and every survivor met its threshold. 1: not so. 2: bad usage.
+
+    **Examples**
+
+    `dsim hard-cases` - all of them, a row each
+
+    `dsim hard-cases 2 8 --to pictures` - two of them, drawn side by side
+
+    `dsim hard-cases --list` - what they are
+    """
+    from dsim import catalog
+    from dsim.report import hard_cases as report
+    from dsim.report.terminal import console
+    from dsim.studies.hard_cases import select
+
+    cases = select(catalog.HARD_CASES, numbers or ())
+    if to is not None and to.exists() and not to.is_dir():
+        raise ValueError(f"--to must be a directory; {to} is a file")
+    if listing:
+        console().print(report.case_list(cases))
+        return
+    try:
+        status = report.run(cases, to, full, quiet)
+    except KeyboardInterrupt:
+        typer.secho("dsim: interrupted; nothing was written", err=True, fg="red")
+        status = 2
+    raise typer.Exit(status)
+
+
 def main() -> None:
     """Entry point: a ValueError or missing file becomes one clear line and exit code 2, not a traceback."""
     try:

@@ -6,6 +6,7 @@ from functools import partial
 
 from dsim.report import derivations, methods
 from dsim.report.environment import build_environment
+from dsim.report.hard_cases import hard_cases
 from dsim.report.model import SectionJob
 
 
@@ -17,6 +18,7 @@ def jobs(full: bool = False) -> tuple[SectionJob, ...]:
         SectionJob("steppers", "Steppers and their linearizations", partial(derivations.steppers, full=full)),
         SectionJob("derivatives", "Forces and their derivatives", partial(derivations.derivatives, full=full)),
         SectionJob("newton", "Newton's method", methods.newton),
+        SectionJob("hard-cases", "Hard cases: the naive method and one that survives", partial(hard_cases, full=full)),
         SectionJob("verdicts", "Verdicts on gradients", methods.verdicts),
         SectionJob("environment", "Machine and arithmetic", build_environment),
     )

@@ -1,0 +1,36 @@
+"""Hard cases: where the naive method fails, shown next to one that survives.
+
+model.py     HardCase, HardCaseResult, and what is drawn: plain data
+springs.py   1-5: stiff, too quick, of no length, compressed; an overshooting Newton
+long_time.py 8, 9: energy and momenta over long times
+gradients.py 45: the norm at 0
+
+A further case is a function that returns a HardCaseResult, and one row of `catalog.HARD_CASES`.
+"""
+
+from dsim.studies.hard_cases.gradients import norm_at_zero
+from dsim.studies.hard_cases.long_time import free_net, orbit
+from dsim.studies.hard_cases.model import Curve, HardCase, HardCaseResult, Panel, select
+from dsim.studies.hard_cases.springs import (
+    coincident_ends,
+    compressed_spring,
+    edge_of_stability,
+    overshooting_newton,
+    stiff_spring,
+)
+
+__all__ = [
+    "Curve",
+    "HardCase",
+    "HardCaseResult",
+    "Panel",
+    "coincident_ends",
+    "compressed_spring",
+    "edge_of_stability",
+    "free_net",
+    "norm_at_zero",
+    "orbit",
+    "overshooting_newton",
+    "select",
+    "stiff_spring",
+]

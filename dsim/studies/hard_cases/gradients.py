@@ -1,0 +1,106 @@
+"""Hard case 45, the norm part: a length whose gradient is 0/0 at 0, inside a simulation that is differentiated."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from dsim.arrays.checks import Array
+from dsim.effects import Gravity, Springs
+from dsim.gradients.adjoint import adjoint
+from dsim.kernels.spring import directions
+from dsim.simulation import SimulationError, Trajectory, simulate
+from dsim.steppers import SymplecticEuler
+from dsim.studies.gradient_check import check_gradient
+from dsim.studies.hard_cases.model import Curve, HardCaseResult, Panel, at_most, equal
+from dsim.system import System
+
+
+def naive_direction(edge: Array) -> Array:
+    """d|e|/de = e/|e| as an automatic derivative of sqrt(e.e) forms it: 0/0 at e = 0.  edge (E,d) -> (E,d)."""
+    with np.errstate(invalid="ignore", divide="ignore"):
+        direction: Array = edge / np.sqrt(np.einsum("ed,ed->e", edge, edge))[:, None]
+    return direction
+
+
+def safe_direction(edge: Array) -> Array:
+    """d|e|/de, and 0 at e = 0: one of the subgradients, and the only one that prefers no direction."""
+    return directions(edge)[1]
+
+
+def library_springs() -> Springs:
+    """The spring from the hook to the point, l0 = 1 m, k = 40 N/m."""
+    return Springs([(0, 1)], 1.0, 40.0)
+
+
+def norm_at_zero(
+    full: bool = False,
+    direction: Callable[[Array], Array] = safe_direction,
+    springs: Callable[[], Any] = library_springs,
+) -> HardCaseResult:
+    """J = |x_1| + |x_2| + |x_3| with x_2 = 0: one NaN is enough to make a whole pulled-back gradient NaN.
+
+    dJ/da with x_i = a_1 + a_2 x_i' sums all three rows, so that the naive gradient has no finite entry.  The
+    simulation starts with both ends of a spring in one place, and its adjoint is held against differences.
+    """
+    x = np.array([[0.3, -0.4], [0.0, 0.0], [-0.6, 0.8]])
+    pull = np.array([[1.0, 1.0, 1.0], [0.5, 2.0, -1.0]])  # dx/da
+    naive, safe = pull @ naive_direction(x), pull @ direction(x)
+    truth = pull[:, [0, 2]] @ np.array([[0.6, -0.8], [-0.6, 0.8]])
+    at_zero = float(np.abs(direction(np.zeros((1, 2)))).max())
+    offsets = np.linspace(-1, 1, 41)
+    line = np.stack([offsets, np.zeros(41)], axis=1)
+    slopes = [function(line)[:, 0] for function in (naive_direction, direction)]
+    verdict = check_gradient(lambda z: float(np.linalg.norm(z)), np.zeros(2), direction(np.zeros((1, 2)))[0]).verdict
+    gradient, confirmed = _simulated(springs)
+    entries, defined = np.isfinite(naive).sum(), np.isfinite(naive_direction(np.zeros((1, 2)))).any()
+    finite = all(np.isfinite(part).all() for part in gradient)
+    close = float(np.abs(safe - truth).max())
+    gap = np.abs(offsets) > 0
+    return HardCaseResult(
+        (
+            equal("naive gradient of |x|", "finite entries of the pulled-back gradient", float(entries), 0),
+            equal("naive gradient of |x|", "finite at 0", float(defined), 0),
+        ),
+        (
+            equal("safe gradient of |x|", "its value at 0", at_zero, 0),
+            at_most("safe gradient of |x|", "the other points' share of the gradient", close, 1e-15),
+            equal("check_gradient", 'says "kink" at 0: a subgradient, not a derivative', float(verdict == "kink"), 1),
+            equal("adjoint from coincident ends", "all entries finite", float(finite), 1),
+            equal("adjoint from coincident ends", "differences of the simulation agree", float(confirmed), 1),
+        ),
+        (
+            Panel("Naive: x/|x|", "x (m)", "d|x|/dx", (Curve("gradient", line[gap, 0], slopes[0][gap], True),),
+                  "NaN at 0: no point there"),
+            Panel("Safe: 0 at 0", "x (m)", "d|x|/dx", (Curve("gradient", line[gap, 0], slopes[1][gap], True),
+                  Curve("at 0", line[~gap, 0], slopes[1][~gap], True)), "0 at 0, one of the subgradients"),
+        ),
+        (f"{np.isnan(naive).sum()} of {naive.size} NaN", f"{at_zero:g} at 0, all finite", "0 at 0, finite"),
+    )  # fmt: skip
+
+
+def _simulated(springs: Callable[[], Any]) -> tuple[tuple[Array, ...], bool]:
+    """(dJ/dtheta, dJ/dy0) of J = |q_N - target|^2 / 2 by the adjoint, and whether differences confirm the first.
+
+    The point starts in the hook of its spring and leaves downward whatever theta is: by theta J is smooth.
+    By y0 it is not, so that part is only asked to be finite.
+    """
+    system = System([1.0, 1.0], [Gravity([0.0, -9.81]), springs()], dimension=2, fixed=[0])
+    h, steps, target = 0.01, 30, np.array([0.3, -0.7])
+
+    def run(theta: Array) -> Trajectory:
+        return simulate(SymplecticEuler(), system.with_theta(theta), np.zeros(8), h, steps)
+
+    def objective(theta: Array) -> float:
+        return 0.5 * float(((run(theta).q[-1, 2:] - target) ** 2).sum())
+
+    try:
+        trajectory = run(system.theta)
+    except SimulationError:  # the spring is NaN: so is the gradient
+        return (np.array([np.nan]),), False
+    weights = np.zeros_like(trajectory.y)
+    weights[-1, 2:4] = trajectory.q[-1, 2:] - target
+    gradient = adjoint(trajectory, weights)
+    return (gradient.theta, gradient.y0), check_gradient(objective, system.theta, gradient.theta).ok

@@ -1,0 +1,235 @@
+"""Every hard case shows its failure and meets its thresholds; sabotaged survivors are red; the command tells both."""
+
+import json
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from dsim import catalog
+from dsim.arrays.scatter import ElementScatter
+from dsim.cli import app, main
+from dsim.effects import Springs
+from dsim.pictures.hard_cases import side_by_side
+from dsim.pictures.style import to_png
+from dsim.report import hard_cases as report
+from dsim.report import sections
+from dsim.steppers import RK4, ForwardEuler, ImplicitMidpoint, SymplecticEuler
+from dsim.studies.hard_cases import HardCaseResult, Panel, select
+from dsim.studies.hard_cases.gradients import naive_direction
+from dsim.studies.hard_cases.long_time import JacobiCg, midpoint_by_cg, momenta, spring_net
+from dsim.studies.hard_cases.model import Curve, at_most
+from dsim.studies.hard_cases.springs import oscillator, stability_warning
+
+CASES = {case.number: case for case in catalog.HARD_CASES}
+
+
+def red(checks):
+    return [f"{c.subject}: {c.statement}: {c.measured} {c.bound}" for c in checks if not c.passed]
+
+
+# Every row
+
+
+def test_the_rows():
+    assert list(CASES) == [1, 2, 3, 4, 5, 8, 9, 45]
+    assert all(case.title and case.setup and case.truth for case in CASES.values())
+
+
+@pytest.mark.parametrize("number", CASES)
+def test_the_naive_method_fails_and_the_survivor_survives(number):
+    result = CASES[number].run()
+    assert result.naive and result.survivor
+    assert not red(result.checks) and result.ok and result.verdict == "survives"
+    json.dumps(result.to_dict(), allow_nan=False)
+    assert to_png(side_by_side(CASES[number], result), dpi=40).startswith(b"\x89PNG")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("number", [8, 9])
+def test_in_full(number):
+    assert not red(CASES[number].run(full=True).checks)
+
+
+# Mutations: a worse method in the survivor's place is seen
+
+
+@dataclass(frozen=True)
+class Gaining(SymplecticEuler):
+    """Symplectic Euler that gains a part in 1e9 of its velocity each step."""
+
+    def rule(self, q, v, a, t, h):
+        v1 = (v[0] + h * a(t, q[0], v[0])) * (1 + 1e-9)
+        return q[0] + h * v1, v1
+
+
+@dataclass(frozen=True)
+class Nudging(SymplecticEuler):
+    """Symplectic Euler that pushes every coordinate by 1e-15 m/s: a force that no spring exerts."""
+
+    def rule(self, q, v, a, t, h):
+        v1 = v[0] + h * a(t, q[0], v[0]) + 1e-15
+        return q[0] + h * v1, v1
+
+
+class NanSprings(Springs):
+    """Springs by the textbook formula."""
+
+    def force(self, t, q, v):
+        scatter = ElementScatter(self.pairs, q.size // 2, 2)
+        ends = scatter.gather(q)
+        n = naive_direction(ends[:, 1] - ends[:, 0])
+        return -scatter.vector(np.stack([n, -n], axis=1))
+
+
+def nan_springs():
+    return NanSprings([(0, 1)], 1.0, 40.0)
+
+
+SABOTAGE = {
+    "1: a stepper that keeps the energy": (1, {"survivor": ImplicitMidpoint()}, "energy ratio"),
+    "1: the naive stepper": (1, {"survivor": ForwardEuler()}, "energy ratio"),
+    "2: energy gain": (2, {"survivor": Gaining()}, "drift of the modified energy"),
+    "2: the naive stepper": (2, {"survivor": ForwardEuler()}, "steps completed"),
+    "3: a NaN spring": (3, {"springs": nan_springs}, "largest |f|"),
+    "4: no projection": (4, {"globalize": "line_search"}, "smallest eigenvalue"),
+    "4: no line search": (4, {"globalize": "none"}, "largest change of the energy"),
+    "5: no line search": (5, {"globalize": "none"}, "largest |x| at the end"),
+    "45: the naive norm": (45, {"direction": naive_direction}, "its value at 0"),
+    "45: a NaN spring": (45, {"springs": nan_springs}, "all entries finite"),
+    "45: a subgradient that is none": (45, {"direction": lambda e: np.where(e == 0, 1.0, naive_direction(e))}, "at 0"),
+}
+
+
+@pytest.mark.parametrize("name", SABOTAGE)
+def test_a_sabotaged_survivor_is_red(name):
+    number, change, statement = SABOTAGE[name]
+    result = CASES[number].run(**change)
+    assert any(statement in line for line in red(result.survivor)), result.survivor
+    assert not result.ok and result.verdict == "FAILS"
+
+
+@pytest.mark.parametrize("stepper", [pytest.param(RK4(), marks=pytest.mark.slow), Gaining()], ids=["RK4", "gain"])
+def test_a_planet_with_a_drifting_method_is_red(stepper):
+    result = CASES[8].run(survivors={"velocity Verlet": stepper})
+    assert any("dE" in line for line in red(result.survivor)) and result.verdict == "FAILS"
+
+
+def test_a_net_with_a_leak_is_red():
+    result = CASES[9].run(survivor=Nudging(), inner=1e-2)
+    lines = red(result.survivor)
+    assert any("symplectic Euler: drift of P" in line for line in lines)
+    assert any("midpoint, Newton to 1e-12: drift of P" in line for line in lines)
+
+
+def test_a_failure_that_does_not_show_is_red():
+    good = CASES[5].run()
+    tame = replace(good, naive=(replace(good.naive[0], passed=False),))
+    assert not tame.ok and tame.verdict == "no failure"
+
+
+# What the cases are made of
+
+
+def test_nan_passes_no_bound():
+    assert not at_most("x", "y", float("nan"), 1.0).passed
+
+
+def test_the_warning_names_a_step_that_is_stable():
+    text = stability_warning(oscillator(4.0), np.zeros(1), 1.25)
+    assert text == "h w = 2.5 >= 2: unstable; take h < 1 s"
+    assert stability_warning(oscillator(4.0), np.zeros(1), 0.999) == ""
+
+
+def test_a_tight_inner_solver_leaks_nothing():
+    system, y0 = spring_net()
+    assert momenta(system, midpoint_by_cg(system, y0, 0.02, 20, 1e-15)).linear.max() <= 1e-14
+    rng = np.random.default_rng(0)
+    A, b = rng.normal(size=(6, 6)), rng.normal(size=6)
+    A = A @ A.T + np.eye(6)
+    assert np.allclose(JacobiCg(A, 1e-13).solve(b), np.linalg.solve(A, b), rtol=1e-9)
+
+
+# The command
+
+
+@pytest.fixture
+def quick(monkeypatch):
+    """The catalog without the two long cases."""
+    monkeypatch.setattr(catalog, "HARD_CASES", tuple(CASES[n] for n in (3, 5)))
+
+
+def run(*arguments):
+    return CliRunner().invoke(app, ["hard-cases", *arguments])
+
+
+def test_all_of_them_in_a_table(quick):
+    result = run()
+    assert result.exit_code == 0
+    assert all(len(line) <= 80 for line in result.stdout.splitlines())
+    assert result.stdout.count("survives") == 2 and "[1/2] case 3" in result.stderr
+    assert run("--quiet").stderr == ""
+
+
+def test_list_runs_nothing(monkeypatch):
+    def refuse(**options):
+        raise AssertionError("run")
+
+    monkeypatch.setattr(catalog, "HARD_CASES", tuple(replace(case, run=refuse) for case in CASES.values()))
+    result = run("--list")
+    assert result.exit_code == 0 and "Newton overshoots" in result.stdout
+    assert all(len(line) <= 80 for line in result.stdout.splitlines())
+
+
+def test_pictures_and_json(tmp_path):
+    result = run("5", "1", "--to", str(tmp_path / "out"))
+    assert result.exit_code == 0, result.stdout
+    names = sorted(path.name for path in (tmp_path / "out").iterdir())
+    assert names == ["case_01.png", "case_05.png", "hard_cases.json"]
+    data = json.loads((tmp_path / "out" / "hard_cases.json").read_text())
+    assert data["ok"] and [case["number"] for case in data["cases"]] == [1, 5]
+    assert data["cases"][0]["figures"]["naive"] == "overflow, step 152"
+
+
+def test_by_default_no_file(tmp_path, monkeypatch, quick):
+    monkeypatch.chdir(tmp_path)
+    assert run("5").exit_code == 0 and not list(tmp_path.iterdir())
+
+
+def fails():
+    panel = Panel("a", "x (m)", "y (m)", (Curve("c", np.arange(3.0), np.arange(3.0)),))
+    return HardCaseResult((), (at_most("method", "drift", 2.0, 1.0),), (panel, panel), ("a", "b", "c"))
+
+
+def test_a_red_case_is_told_and_exits_with_1(monkeypatch):
+    case = replace(CASES[5], run=lambda full: fails())
+    monkeypatch.setattr(catalog, "HARD_CASES", (case,))
+    result = run()
+    assert result.exit_code == 1 and "FAILS" in result.stdout
+    assert "case 5: method: drift: 2, must be <= 1" in result.stdout
+
+
+def test_bad_usage_is_one_clear_line(tmp_path, monkeypatch, capsys):
+    (tmp_path / "file").touch()
+    for arguments, line in (
+        (["6"], "dsim: N must be one of 1, 2, 3, 4, 5, 8, 9, 45; got 6"),
+        (["5", "--to", str(tmp_path / "file")], f"dsim: --to must be a directory; {tmp_path / 'file'} is a file"),
+    ):
+        monkeypatch.setattr("sys.argv", ["dsim", "hard-cases", *arguments])
+        with pytest.raises(SystemExit) as stop:
+            main()
+        assert stop.value.code == 2 and capsys.readouterr().err.strip() == line
+
+
+def test_select():
+    assert [case.number for case in select(catalog.HARD_CASES, [9, 1])] == [1, 9]
+    assert select(catalog.HARD_CASES, []) == catalog.HARD_CASES
+
+
+def test_the_section_of_the_report(quick):
+    told = []
+    section = report.hard_cases(told.append)
+    assert told == ["coincident ends", "Newton overshoots"]
+    assert len(section.pictures) == 2 and not section.failed and len(section.tables[0].rows) == 2
+    assert "hard-cases" in [job.key for job in sections.jobs()]
