@@ -103,7 +103,12 @@ class _Problem:
 
     def evaluate(self, z: Array) -> Array:
         self.evaluations += 1
-        value = np.asarray(self.residual(z), dtype=float)
+        try:
+            # A residual like x / sqrt(1 + x^2) reads 0 once x^2 overflows: that is no solution.
+            with np.errstate(over="raise"):
+                value = np.asarray(self.residual(z), dtype=float)
+        except FloatingPointError:
+            return np.full_like(z, np.nan)
         if value.shape != z.shape:
             raise ValueError(f"residual must return shape {z.shape}; got {value.shape}")
         return value
