@@ -115,7 +115,8 @@ class Trajectory:
     def load(cls, path: str | Path, stepper: Stepper | None = None, system: Ode | None = None) -> Trajectory:
         """Read what `save` wrote.  Give the stepper and the system again to differentiate the trajectory."""
         try:
-            with np.load(path, allow_pickle=False) as data:
+            content = io.BytesIO(Path(path).read_bytes())  # np.load leaves a damaged file open
+            with np.load(content, allow_pickle=False) as data:
                 values = {name: data[name] for name in data.files}
             counters = Counters(**{k[8:]: int(v) for k, v in values.items() if k.startswith("counter_")})
             y, t = values["y"], values["t"]

@@ -47,8 +47,8 @@ def test_the_quoted_stepper_is_the_real_one():
 
 def test_the_two_commands_stand_at_the_top():
     top = TEXT[: TEXT.index("## ")]
-    assert "    python -m pip install . && dsim verify\n" in top
-    assert '    python -m pip install -e ".[test]" && pytest\n' in top
+    assert "\npython -m pip install . && dsim verify\n" in top
+    assert '\npython -m pip install -e ".[test]" && pytest\n' in top
 
 
 def test_every_linked_file_exists():

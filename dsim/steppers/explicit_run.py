@@ -81,7 +81,7 @@ class ExplicitRun:
             self._advance(n * self.h, self.states[n], self.states[n + 1])
             n += 1
             done = n % _CHECKED != 0 or bool(np.isfinite(self.states[n]).all())
-        finite: Any = np.isfinite(self.states[1 : n + 1]).reshape(n, -1).all(axis=1)
+        finite: Any = np.isfinite(self.states[1 : n + 1]).all(axis=(1, 2, 3))
         good = n if finite.all() else int(finite.argmin())
         self.states = self.states[: good + 1]
         return good
