@@ -319,7 +319,7 @@ def test_a_system_under_everything_is_solved_at_the_quadratic_rate():
 
 
 def test_an_overflow_that_reads_zero_is_no_solution():
-    """x / sqrt(1 + x^2) from 1.1: Newton without a line search runs off to where x^2 overflows and the quotient is 0."""
+    """x / sqrt(1 + x^2) from 1.1: undamped Newton runs off to where x^2 overflows and the quotient is 0."""
     result = newton(
         lambda x: x / np.sqrt(1 + x**2), lambda x: np.diag((1 + x**2) ** -1.5), np.array([1.1]), globalize="none"
     )
