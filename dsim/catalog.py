@@ -26,6 +26,7 @@ from dsim.steppers import (
     TwoStepBackwardEuler,
     VelocityVerlet,
 )
+from dsim.studies import problems
 from dsim.studies.convergence import OrderProblem, leaf_in_river, pendulum_in_wind
 from dsim.studies.derivatives import EffectExample
 from dsim.studies.reference import DOP853, RADAU, Reference
@@ -104,6 +105,15 @@ STEPPERS: tuple[RuleStepper, ...] = (
 ORDER_PROBLEMS: tuple[Callable[[], OrderProblem], ...] = (pendulum_in_wind, leaf_in_river)
 
 REFERENCES: tuple[Reference, ...] = (DOP853, RADAU)
+
+PROBLEMS: tuple[Callable[[], problems.Problem], ...] = (
+    problems.projectile,
+    problems.pendulum,
+    problems.kepler,
+    problems.chain,
+    problems.two_rates,
+    problems.cloth,
+)
 
 SCENES: tuple[Callable[..., Any], ...] = (
     scenes.projectile,
