@@ -26,7 +26,7 @@ from dsim.steppers import (
     TwoStepBackwardEuler,
     VelocityVerlet,
 )
-from dsim.studies import hard_cases
+from dsim.studies import hard_cases, problems
 from dsim.studies.convergence import OrderProblem, leaf_in_river, pendulum_in_wind
 from dsim.studies.derivatives import EffectExample
 from dsim.studies.hard_cases import HardCase
@@ -106,6 +106,15 @@ STEPPERS: tuple[RuleStepper, ...] = (
 ORDER_PROBLEMS: tuple[Callable[[], OrderProblem], ...] = (pendulum_in_wind, leaf_in_river)
 
 REFERENCES: tuple[Reference, ...] = (DOP853, RADAU)
+
+PROBLEMS: tuple[Callable[[], problems.Problem], ...] = (
+    problems.projectile,
+    problems.pendulum,
+    problems.kepler,
+    problems.chain,
+    problems.two_rates,
+    problems.cloth,
+)
 
 SCENES: tuple[Callable[..., Any], ...] = (
     scenes.projectile,

@@ -208,6 +208,33 @@ def hard_cases(
     raise typer.Exit(status)
 
 
+@app.command()
+def accuracy(
+    problem: Annotated[list[str] | None, typer.Argument(help="Problems; all of them by default.")] = None,
+    to: Annotated[Path, typer.Option("--to", help="Directory of the results.", metavar="DIR")] = Path("dsim-accuracy"),
+    quick: Annotated[bool, typer.Option("--quick", help="A small sweep: seconds, not minutes.")] = False,
+    fresh: Annotated[bool, typer.Option("--fresh", help="Measure again what was measured before.")] = False,
+) -> None:
+    """What does accuracy cost?  Errors of states and gradients over seconds, for every stepper and SciPy's solvers.
+
+    Writes a picture (PNG, SVG) a problem, `table.txt` and `accuracy.json`. An interrupted run is continued by the same
+    command. Exit code 0: done. 2: bad usage, interrupted.
+
+    **Examples**
+
+    `dsim accuracy` - every problem, some minutes
+
+    `dsim accuracy kepler cloth --quick --to results` - two problems, a small sweep
+    """
+    from dsim.report import accuracy as report
+
+    try:
+        report.run(problem or (), to, quick=quick, fresh=fresh)
+    except KeyboardInterrupt:
+        typer.secho("dsim: interrupted; run the same command again to go on", err=True, fg="red")
+        raise typer.Exit(2) from None
+
+
 def main() -> None:
     """Entry point: a ValueError or missing file becomes one clear line and exit code 2, not a traceback."""
     try:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from functools import partial
 
 from dsim.report import derivations, methods
+from dsim.report.accuracy import accuracy
 from dsim.report.environment import build_environment
 from dsim.report.hard_cases import hard_cases
 from dsim.report.model import SectionJob
@@ -15,6 +16,7 @@ def jobs(full: bool = False) -> tuple[SectionJob, ...]:
     return (
         SectionJob("scenes", "Gradients of the scenes", partial(methods.scene_gradients, full=full)),
         SectionJob("orders", "Observed orders of accuracy", methods.orders),
+        SectionJob("accuracy", "What accuracy costs", partial(accuracy, full=full)),
         SectionJob("steppers", "Steppers and their linearizations", partial(derivations.steppers, full=full)),
         SectionJob("derivatives", "Forces and their derivatives", partial(derivations.derivatives, full=full)),
         SectionJob("newton", "Newton's method", methods.newton),

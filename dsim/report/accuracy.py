@@ -1,0 +1,192 @@
+"""What accuracy costs: the command `dsim accuracy`, and its section of the report."""
+
+from __future__ import annotations
+
+import difflib
+import json
+from collections.abc import Sequence
+from functools import partial
+from pathlib import Path
+
+from rich.markup import escape
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
+from rich.table import Table as Lines
+
+from dsim import catalog
+from dsim.arrays.checks import Array
+from dsim.pictures import work_precision as pictures
+from dsim.pictures.files import write_atomically
+from dsim.pictures.style import save, to_svg
+from dsim.report import model, terminal
+from dsim.report.model import Picture, Section, Table, figures
+from dsim.steppers import BackwardEuler, ImplicitMidpoint
+from dsim.studies import problems, tolerances
+from dsim.studies.cells import Store, versions
+from dsim.studies.check import Check
+from dsim.studies.work_precision import (
+    COUNTED,
+    QUANTITIES,
+    QUICK,
+    TARGETS,
+    Method,
+    Study,
+    Sweep,
+    finite,
+    work_precision,
+)
+
+METHODS: tuple[Method, ...] = (*catalog.STEPPERS, *catalog.REFERENCES)
+
+
+def select(names: Sequence[str]) -> tuple[problems.Problem, ...]:
+    """The problems of these names, all of them without any; ValueError with suggestions for a name nobody knows."""
+    found = {build.__name__.replace("_", "-"): build for build in catalog.PROBLEMS}
+    for name in names:
+        if name not in found:
+            close = difflib.get_close_matches(name, found, n=2, cutoff=0.5)
+            hint = f"; did you mean {' or '.join(close)}?" if close else ""
+            raise ValueError(f"PROBLEM must be one of {', '.join(found)}; got {name!r}{hint}")
+    return tuple(build() for name, build in found.items() if not names or name in names)
+
+
+def run(names: Sequence[str], to: Path, *, quick: bool = False, fresh: bool = False) -> None:
+    """Measure, draw, print and write everything under `to`; finished cells are read from `to/cells`."""
+    chosen, sweep = select(names), QUICK if quick else Sweep()
+    store = Store(to / "cells", fresh=fresh)
+    studies = []
+    with _bar() as bar:
+        task = bar.add_task("", total=sum(_cells(p, sweep) for p in chosen))
+        for problem in chosen:
+            show = partial(_show, bar, task)
+            study = work_precision(problem, METHODS, sweep, store, show)
+            studies.append(study)
+            bar.update(task, completed=sum(len(study.cells) for study in studies))
+            for kind in ("png", "svg"):
+                save(pictures.work_precision(study), to / f"{study.problem}.{kind}")
+    out = terminal.console()
+    with out.capture() as text:
+        for study in studies:
+            for table in tables(study):
+                out.print(lines(table))
+    _curves(to)
+    write_atomically(to / "table.txt", text.get().encode())
+    data = {"versions": versions(), "studies": [study.to_dict() for study in studies]}
+    write_atomically(to / "accuracy.json", json.dumps(finite(data), indent=1, allow_nan=False).encode())
+    out.print(text.get(), markup=False, end="")
+    out.print(f"pictures, table.txt and accuracy.json: {to}", soft_wrap=True, markup=False)
+
+
+def _bar() -> Progress:
+    columns = (BarColumn(18), MofNCompleteColumn(), TimeElapsedColumn(), TextColumn("{task.description}"))
+    return Progress(*columns, console=terminal.console(stderr=True), transient=True)
+
+
+def _show(bar: Progress, task: TaskID, text: str) -> None:
+    bar.update(task, description=text, advance=0 if "timing" in text else 1)
+
+
+def _cells(problem: problems.Problem, sweep: Sweep) -> int:
+    return sum(len(sweep.settings(problem, method)) for method in METHODS)
+
+
+def _curves(to: Path) -> None:
+    save(pictures.newton_tolerance(newton_curves()), to / "newton-tolerance.png")
+    steps = tolerances.DIFFERENCE_STEPS
+    save(pictures.difference_steps(steps, tolerances.difference_steps(steps)), to / "difference-steps.png")
+
+
+def newton_curves(steps: int = 200) -> dict[str, tuple[Array, Array, Array]]:
+    """Newton's tolerance against the error, for two methods on the pendulum."""
+    pendulum = problems.pendulum()
+    return {
+        type(s).__name__: tolerances.newton_tolerance(pendulum, s, steps) for s in (BackwardEuler(), ImplicitMidpoint())
+    }
+
+
+# Tables
+
+
+def tables(study: Study) -> tuple[Table, Table]:
+    """Methods with their best figures; and the cheapest method for every error."""
+    rows: list[tuple[model.Cell, ...]] = []
+    for method in study.methods:
+        cells = study.of(method)
+        finest = cells[-1]
+        fit = study.order(method)
+        order = f"{fit.order:.2f} +- {fit.standard_error:.2f}" if fit else ""
+        failures = sum(cell.failed for cell in cells)
+        best = [min(cell.error_of(quantity) for cell in cells) for quantity in QUANTITIES]
+        cost = f"{finest.seconds:.2g}" if study.unit == "seconds" else str(finest.counts["forces"])
+        rows.append((method, order, *(f"{e:.0e}" for e in best), f"{finest.drift:.0e}", cost, failures))
+    unit = "s" if study.unit == "seconds" else "forces"
+    columns = ("method", "order", "state", "gradient", "drift", unit, "failed")
+    band = f"; A/A control {study.band[0]:.2f} to {study.band[1]:.2f}" if study.unit == "seconds" else ""
+    first = Table(columns, tuple(rows), f"{study.problem}: smallest errors; drift and cost at the finest setting{band}")
+    answers = []
+    for target in TARGETS:
+        row: list[model.Cell] = [f"{target:.0e}"]
+        for quantity in QUANTITIES:
+            answer = study.cheapest(target, quantity)
+            row += [str(answer), f"{answer.cost:.2g}" if answer.reached else ""]
+        answers.append(tuple(row))
+    caption = f"{study.problem}: cheapest method for an error (=: not told apart by the control)"
+    return first, Table(("error", "state", unit, "gradient", unit), tuple(answers), caption)
+
+
+def lines(table: Table) -> Lines:
+    """A table for the terminal."""
+    found = Lines(title=escape(table.caption), title_justify="left", title_style="bold")
+    for column in table.columns:
+        found.add_column(escape(column), overflow="fold")
+    for row in table.rows:
+        found.add_row(*(escape(figures(cell)) for cell in row))
+    return found
+
+
+# The section of `dsim verify`
+
+
+def accuracy(progress: model.Progress, full: bool = False) -> Section:
+    """Errors over force evaluations on the pendulum; with `full`, every problem, timed."""
+    chosen = select(()) if full else (problems.pendulum(),)
+    checks: list[Check] = []
+    found: list[Table] = []
+    drawn: list[Picture] = []
+    for problem in chosen:
+        study = work_precision(problem, METHODS, QUICK if full else COUNTED, None, progress)
+        found += tables(study)
+        checks += study_checks(study)
+        alt = f"Error of state and gradient over {study.unit} for {len(study.methods)} methods on {study.problem}."
+        caption = f"{study.problem}: down and left is better; crosses at the top edge are runs that failed."
+        command = f"dsim accuracy {study.problem}"
+        drawn.append(Picture(to_svg(pictures.work_precision(study)), alt, caption, command))
+    progress("finite differences")
+    steps = tolerances.DIFFERENCE_STEPS
+    errors = tolerances.difference_steps(steps)
+    for name, bound in (("forward", 1e-7), ("central", 1e-9), ("complex", 1e-15)):
+        least = float(errors[name].min())
+        checks.append(Check("differences", f"best {name} difference", least <= bound, least, f"<= {bound:.0e}"))
+    alt = "Errors of forward, central and complex differences over the step: two Vs and a line that stays at 1e-16."
+    drawn.append(Picture(to_svg(pictures.difference_steps(steps, errors)), alt, "Finite differences: the V."))
+    lead = (
+        "The error of every method against a known motion, over what the run cost, and the error of the adjoint's "
+        "gradient against the gradient of the true motion. `dsim accuracy` measures seconds, on all problems."
+    )
+    return Section(lead, tuple(checks), tuple(found), tuple(drawn))
+
+
+def study_checks(study: Study) -> list[Check]:
+    """The truth is known a hundred times better than what is shown; states and gradients converge."""
+    known = max(study.certificate, study.gradient_certificate)
+    checks = [Check(study.problem, "two references agree", known <= 1e-8, known, "<= 1e-8")]
+    for quantity in QUANTITIES:
+        least = min(cell.error_of(quantity) for cell in study.cells if cell.steps)
+        checks.append(Check(study.problem, f"smallest error of the {quantity}", least <= 1e-2, least, "<= 1e-2"))
+    if study.problem == "pendulum":
+        declared = {type(s).__name__: s.order for s in catalog.STEPPERS}
+        for method in ("SymplecticEuler", "ImplicitMidpoint", "VelocityVerlet", "RK4"):
+            for quantity in QUANTITIES:
+                fit, p = study.order(method, quantity), declared[method]
+                order = fit.order if fit else float("nan")
+                checks.append(Check(method, f"order of the {quantity}", abs(order - p) <= 0.35, order, f"{p} +- 0.35"))
+    return checks
