@@ -26,7 +26,7 @@ from dsim.studies.reference import DOP853, RADAU, Reference
 from dsim.studies.work_precision import Cell, Study, Sweep, asymptotic_order, cost_at, measure, pareto, work_precision
 
 TINY = Sweep(levels=2, costly=2, rounds=0)
-CLOSED = [problems.projectile, problems.chain, problems.two_rates]
+CLOSED = [problems.projectile, problems.kepler, problems.chain, problems.two_rates]
 
 
 def cell(method, setting, error, seconds=1.0, status="converged", **more):
@@ -37,7 +37,7 @@ def cell(method, setting, error, seconds=1.0, status="converged", **more):
 # The truth
 
 
-@pytest.mark.parametrize("build", [*CLOSED, problems.pendulum, problems.kepler], ids=lambda b: b.__name__)
+@pytest.mark.parametrize("build", [*CLOSED, problems.pendulum], ids=lambda b: b.__name__)
 def test_closed_forms_agree_with_an_integrator(build):
     problem = build()
     numerical = solution(problem, Reference("DOP853", 1e-9))
@@ -230,7 +230,12 @@ def test_seconds_come_with_a_control():
     assert study.unit == "seconds" and study.band[0] <= 1 <= study.band[1]
     for found in study.cells:
         timing = found.timing["state"]
-        assert 0 < found.seconds <= timing["median"] and timing["repeats"] >= 2 and timing["ratio"] > 0
+        assert (
+            0 < timing["least"] <= timing["median"]
+            and found.seconds > 0
+            and timing["repeats"] >= 2
+            and timing["ratio"] > 0
+        )
         assert timing["low"] <= timing["median"] <= timing["high"] and found.gradient_seconds > 0
 
 

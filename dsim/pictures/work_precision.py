@@ -36,7 +36,7 @@ def work_precision(study: Study) -> Figure:
 def _panel(axes: Axes, study: Study, quantity: str) -> None:
     axes.set_xscale("log")
     axes.set_yscale("log")
-    top = _top(study, quantity)
+    top = max(_top(study, q) for q in QUANTITIES)
     for number, method in enumerate(study.methods):
         cost, error = study.points(method, quantity)
         axes.plot(cost, error, **_look(number), label=method)
@@ -48,12 +48,12 @@ def _panel(axes: Axes, study: Study, quantity: str) -> None:
         color="#57606a", linewidth=7, alpha=0.22, solid_capstyle="round", zorder=0, label="Pareto front",
     )  # fmt: skip
     floor = study.floor(quantity)
-    if floor > 1e-13:
-        axes.axhspan(floor / 1e3, floor, color="#d8dee4", alpha=0.6, zorder=0)
-        axes.text(
-            0.02, floor, "truth not known well enough", transform=axes.get_yaxis_transform(), fontsize=8, va="top"
-        )
-    axes.set_ylim(min(floor, _least(study, quantity)) / 2, 3 * top)
+    low = min(_least(study, q) for q in QUANTITIES) / 5
+    if floor > low:
+        axes.axhspan(low, floor, color="#d8dee4", alpha=0.6, zorder=0)
+        where = axes.get_yaxis_transform()
+        axes.text(0.98, floor, "below: truth not known well enough", transform=where, fontsize=8, ha="right", va="top")
+    axes.set_ylim(low, 4 * top)
 
 
 def _look(number: int) -> dict[str, Any]:

@@ -35,6 +35,7 @@ from dsim.studies.work_precision import (
     work_precision,
 )
 
+QUICK_PROBLEMS = ("projectile", "pendulum", "kepler")  # cheap references; the others when they are named
 METHODS: tuple[Method, ...] = (*catalog.STEPPERS, *catalog.REFERENCES)
 
 
@@ -51,7 +52,7 @@ def select(names: Sequence[str]) -> tuple[problems.Problem, ...]:
 
 def run(names: Sequence[str], to: Path, *, quick: bool = False, fresh: bool = False) -> None:
     """Measure, draw, print and write everything under `to`; finished cells are read from `to/cells`."""
-    chosen, sweep = select(names), QUICK if quick else Sweep()
+    chosen, sweep = select(names or QUICK_PROBLEMS * quick), QUICK if quick else Sweep()
     store = Store(to / "cells", fresh=fresh)
     studies = []
     with _bar() as bar:
