@@ -111,7 +111,7 @@ def accuracy(
     problem: Annotated[list[str] | None, typer.Argument(help="Problems; all of them by default.")] = None,
     to: Annotated[Path, typer.Option("--to", help="Directory of the results.", metavar="DIR")] = Path("dsim-accuracy"),
     quick: Annotated[
-        bool, typer.Option("--quick", help="A small sweep, by default of three problems: half a minute.")
+        bool, typer.Option("--quick", help="A small sweep, by default of two problems: half a minute.")
     ] = False,
     fresh: Annotated[bool, typer.Option("--fresh", help="Measure again what was measured before.")] = False,
 ) -> None:

@@ -142,13 +142,14 @@ def test_not_reached_ties_and_clipping():
     runs = [
         *(cell("a", h, h**2, 1 / h, **band) for h in (0.1, 0.01)),
         *(cell("b", h, h**2, 1.1 / h, **band) for h in (0.1, 0.01)),
-        cell("c", 0.1, 1e-13, 0.1, **band),
+        cell("c", 0.1, 1e-13, 5000.0, **band),
     ]
     study = Study("p", tuple(runs), 1e-14, 1e-14)
     answer = study.cheapest(1e-3)
     assert answer.method == "a" and answer.ties == ("b",) and str(answer) == "a (= b)"
-    assert str(study.cheapest(1e-8)) == "not reached" and not study.cheapest(1e-8).reached
-    assert len(study.points("c")[0]) == 0  # below the floor of 1e-12
+    assert study.cheapest(1e-8).method == "c"  # clipped, yet better than asked for
+    assert study.points("c")[1].tolist() == [1e-12]  # not 1e-13: the truth is not known that well
+    assert not study.cheapest(1e-13).reached
 
 
 def test_failures_are_cells_and_crosses():

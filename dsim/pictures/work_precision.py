@@ -44,7 +44,7 @@ def _panel(axes: Axes, study: Study, quantity: str) -> None:
     front = study.front(quantity)
     axes.plot(
         [c.cost(quantity, study.unit) for c in front],
-        [c.error_of(quantity) for c in front],
+        [max(c.error_of(quantity), study.floor(quantity)) for c in front],
         color="#57606a", linewidth=7, alpha=0.22, solid_capstyle="round", zorder=0, label="Pareto front",
     )  # fmt: skip
     floor = study.floor(quantity)

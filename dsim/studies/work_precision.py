@@ -121,9 +121,10 @@ class Study:
         return tuple(sorted((c for c in self.cells if c.method == method), key=lambda c: -c.setting))
 
     def points(self, method: str, quantity: str = "state") -> tuple[Array, Array]:
-        """(cost, error) of the runs that ended well and lie above the floor."""
-        good = [c for c in self.of(method) if not c.failed and c.error_of(quantity) >= self.floor(quantity)]
-        return np.array([c.cost(quantity, self.unit) for c in good]), np.array([c.error_of(quantity) for c in good])
+        """(cost, error) of the runs that ended well; an error below the floor is only known to be no larger than it."""
+        good = [c for c in self.of(method) if not c.failed]
+        error = [max(c.error_of(quantity), self.floor(quantity)) for c in good]
+        return np.array([c.cost(quantity, self.unit) for c in good]), np.array(error)
 
     def order(self, method: str, quantity: str = "state") -> OrderFit | None:
         """The slope on the asymptotic window; None with fewer than three points, or for a tolerance."""
@@ -132,9 +133,10 @@ class Study:
 
     def front(self, quantity: str = "state") -> tuple[Cell, ...]:
         """The Pareto set: no other run is both cheaper and more accurate."""
-        good = [c for c in self.cells if not c.failed and c.error_of(quantity) >= self.floor(quantity)]
+        good = [c for c in self.cells if not c.failed]
         costs = [c.cost(quantity, self.unit) for c in good]
-        return tuple(good[i] for i in pareto(costs, [c.error_of(quantity) for c in good]))
+        errors = [max(c.error_of(quantity), self.floor(quantity)) for c in good]
+        return tuple(good[i] for i in pareto(costs, errors))
 
     def cheapest(self, target: float, quantity: str = "state") -> Answer:
         """The method that reaches `target` at the least cost, interpolated in log-log and never extrapolated."""
