@@ -87,10 +87,12 @@ def estimated_cost(study: Study, failed: Cell) -> float:
 
 @style()
 def newton_tolerance(curves: Mapping[str, tuple[Array, Array, Array]]) -> Figure:
-    """The error over Newton's tolerance: it falls, then stays, where only the discretization is left."""
+    """The error over Newton's tolerance, and below it, thin, the part that the tolerance is to blame for."""
     figure, axes = canvas()
-    for number, (name, (tol, error, _)) in enumerate(curves.items()):
-        axes.loglog(tol, error, **look(number), label=name)
+    for number, (name, (tol, error, algebraic)) in enumerate(curves.items()):
+        axes.loglog(tol, error, **look(number), label=f"{name}, error")
+        part = {**look(number), "linewidth": 1.0, "markerfacecolor": "white"}
+        axes.loglog(tol, np.maximum(algebraic, 1e-17), **part, label="of it, Newton's share")
     axes.invert_xaxis()
     label(axes, "Newton's tolerance (relative)", "largest scaled error", "A tolerance is not an error")
     axes.legend()
