@@ -204,8 +204,8 @@ def cost_at(cost: Array, error: Array, target: float) -> float | None:
 
     None where no run of the sweep is accurate enough.
 
-    >>> cost_at(np.array([1.0, 10.0]), np.array([1e-2, 1e-4]), 1e-3)
-    3.16227766016838
+    >>> round(cost_at(np.array([1.0, 10.0]), np.array([1e-2, 1e-4]), 1e-3), 4)
+    3.1623
     >>> cost_at(np.array([1.0, 10.0]), np.array([1e-2, 1e-4]), 1e-5) is None
     True
     """
