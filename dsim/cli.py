@@ -212,7 +212,9 @@ def hard_cases(
 def accuracy(
     problem: Annotated[list[str] | None, typer.Argument(help="Problems; all of them by default.")] = None,
     to: Annotated[Path, typer.Option("--to", help="Directory of the results.", metavar="DIR")] = Path("dsim-accuracy"),
-    quick: Annotated[bool, typer.Option("--quick", help="A small sweep: seconds, not minutes.")] = False,
+    quick: Annotated[
+        bool, typer.Option("--quick", help="A small sweep, by default of two problems: half a minute.")
+    ] = False,
     fresh: Annotated[bool, typer.Option("--fresh", help="Measure again what was measured before.")] = False,
 ) -> None:
     """What does accuracy cost?  Errors of states and gradients over seconds, for every stepper and SciPy's solvers.

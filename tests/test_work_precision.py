@@ -26,7 +26,7 @@ from dsim.studies.reference import DOP853, RADAU, Reference
 from dsim.studies.work_precision import Cell, Study, Sweep, asymptotic_order, cost_at, measure, pareto, work_precision
 
 TINY = Sweep(levels=2, costly=2, rounds=0)
-CLOSED = [problems.projectile, problems.chain, problems.two_rates]
+CLOSED = [problems.projectile, problems.kepler, problems.chain, problems.two_rates]
 
 
 def cell(method, setting, error, seconds=1.0, status="converged", **more):
@@ -37,7 +37,7 @@ def cell(method, setting, error, seconds=1.0, status="converged", **more):
 # The truth
 
 
-@pytest.mark.parametrize("build", [*CLOSED, problems.pendulum, problems.kepler], ids=lambda b: b.__name__)
+@pytest.mark.parametrize("build", [*CLOSED, problems.pendulum], ids=lambda b: b.__name__)
 def test_closed_forms_agree_with_an_integrator(build):
     problem = build()
     numerical = solution(problem, Reference("DOP853", 1e-9))
@@ -142,13 +142,14 @@ def test_not_reached_ties_and_clipping():
     runs = [
         *(cell("a", h, h**2, 1 / h, **band) for h in (0.1, 0.01)),
         *(cell("b", h, h**2, 1.1 / h, **band) for h in (0.1, 0.01)),
-        cell("c", 0.1, 1e-13, 0.1, **band),
+        cell("c", 0.1, 1e-13, 5000.0, **band),
     ]
     study = Study("p", tuple(runs), 1e-14, 1e-14)
     answer = study.cheapest(1e-3)
     assert answer.method == "a" and answer.ties == ("b",) and str(answer) == "a (= b)"
-    assert str(study.cheapest(1e-8)) == "not reached" and not study.cheapest(1e-8).reached
-    assert len(study.points("c")[0]) == 0  # below the floor of 1e-12
+    assert study.cheapest(1e-8).method == "c"  # clipped, yet better than asked for
+    assert study.points("c")[1].tolist() == [1e-12]  # not 1e-13: the truth is not known that well
+    assert not study.cheapest(1e-13).reached
 
 
 def test_failures_are_cells_and_crosses():
@@ -230,7 +231,12 @@ def test_seconds_come_with_a_control():
     assert study.unit == "seconds" and study.band[0] <= 1 <= study.band[1]
     for found in study.cells:
         timing = found.timing["state"]
-        assert 0 < found.seconds <= timing["median"] and timing["repeats"] >= 2 and timing["ratio"] > 0
+        assert (
+            0 < timing["least"] <= timing["median"]
+            and found.seconds > 0
+            and timing["repeats"] >= 2
+            and timing["ratio"] > 0
+        )
         assert timing["low"] <= timing["median"] <= timing["high"] and found.gradient_seconds > 0
 
 
@@ -267,9 +273,9 @@ def test_a_users_stepper_in_five_lines():
 
 
 def test_newtons_tolerance_reaches_a_plateau():
-    for tol, error, iterations in newton_curves(100).values():
+    for tol, error, algebraic in newton_curves(40).values():
         assert error[-1] == pytest.approx(error[-4], rel=1e-3) and tol[-1] < 1e-6 * error[-1]
-        assert iterations[-1] > iterations[0]
+        assert algebraic[0] > 1e3 * algebraic[-1] and algebraic[-1] < 1e-9
 
 
 def test_the_v_of_differences():

@@ -36,7 +36,7 @@ def work_precision(study: Study) -> Figure:
 def _panel(axes: Axes, study: Study, quantity: str) -> None:
     axes.set_xscale("log")
     axes.set_yscale("log")
-    top = _top(study, quantity)
+    top = max(_top(study, q) for q in QUANTITIES)
     for number, method in enumerate(study.methods):
         cost, error = study.points(method, quantity)
         axes.plot(cost, error, **_look(number), label=method)
@@ -44,16 +44,16 @@ def _panel(axes: Axes, study: Study, quantity: str) -> None:
     front = study.front(quantity)
     axes.plot(
         [c.cost(quantity, study.unit) for c in front],
-        [c.error_of(quantity) for c in front],
+        [max(c.error_of(quantity), study.floor(quantity)) for c in front],
         color="#57606a", linewidth=7, alpha=0.22, solid_capstyle="round", zorder=0, label="Pareto front",
     )  # fmt: skip
     floor = study.floor(quantity)
-    if floor > 1e-13:
-        axes.axhspan(floor / 1e3, floor, color="#d8dee4", alpha=0.6, zorder=0)
-        axes.text(
-            0.02, floor, "truth not known well enough", transform=axes.get_yaxis_transform(), fontsize=8, va="top"
-        )
-    axes.set_ylim(min(floor, _least(study, quantity)) / 2, 3 * top)
+    low = min(_least(study, q) for q in QUANTITIES) / 5
+    if floor > low:
+        axes.axhspan(low, floor, color="#d8dee4", alpha=0.6, zorder=0)
+        where = axes.get_yaxis_transform()
+        axes.text(0.98, floor, "below: truth not known well enough", transform=where, fontsize=8, ha="right", va="top")
+    axes.set_ylim(low, 4 * top)
 
 
 def _look(number: int) -> dict[str, Any]:
@@ -87,10 +87,12 @@ def estimated_cost(study: Study, failed: Cell) -> float:
 
 @style()
 def newton_tolerance(curves: Mapping[str, tuple[Array, Array, Array]]) -> Figure:
-    """The error over Newton's tolerance: it falls, then stays, where only the discretization is left."""
+    """The error over Newton's tolerance, and below it, thin, the part that the tolerance is to blame for."""
     figure, axes = canvas()
-    for number, (name, (tol, error, _)) in enumerate(curves.items()):
-        axes.loglog(tol, error, **look(number), label=name)
+    for number, (name, (tol, error, algebraic)) in enumerate(curves.items()):
+        axes.loglog(tol, error, **look(number), label=f"{name}, error")
+        part = {**look(number), "linewidth": 1.0, "markerfacecolor": "white"}
+        axes.loglog(tol, np.maximum(algebraic, 1e-17), **part, label="of it, Newton's share")
     axes.invert_xaxis()
     label(axes, "Newton's tolerance (relative)", "largest scaled error", "A tolerance is not an error")
     axes.legend()

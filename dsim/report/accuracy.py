@@ -35,6 +35,7 @@ from dsim.studies.work_precision import (
     work_precision,
 )
 
+QUICK_PROBLEMS = ("projectile", "pendulum")  # the others when they are named
 METHODS: tuple[Method, ...] = (*catalog.STEPPERS, *catalog.REFERENCES)
 
 
@@ -51,7 +52,7 @@ def select(names: Sequence[str]) -> tuple[problems.Problem, ...]:
 
 def run(names: Sequence[str], to: Path, *, quick: bool = False, fresh: bool = False) -> None:
     """Measure, draw, print and write everything under `to`; finished cells are read from `to/cells`."""
-    chosen, sweep = select(names), QUICK if quick else Sweep()
+    chosen, sweep = select(names or QUICK_PROBLEMS * quick), QUICK if quick else Sweep()
     store = Store(to / "cells", fresh=fresh)
     studies = []
     with _bar() as bar:
@@ -68,7 +69,7 @@ def run(names: Sequence[str], to: Path, *, quick: bool = False, fresh: bool = Fa
         for study in studies:
             for table in tables(study):
                 out.print(lines(table))
-    _curves(to)
+    _curves(to, 50 if quick else 200)
     write_atomically(to / "table.txt", text.get().encode())
     data = {"versions": versions(), "studies": [study.to_dict() for study in studies]}
     write_atomically(to / "accuracy.json", json.dumps(finite(data), indent=1, allow_nan=False).encode())
@@ -89,10 +90,10 @@ def _cells(problem: problems.Problem, sweep: Sweep) -> int:
     return sum(len(sweep.settings(problem, method)) for method in METHODS)
 
 
-def _curves(to: Path) -> None:
-    save(pictures.newton_tolerance(newton_curves()), to / "newton-tolerance.png")
-    steps = tolerances.DIFFERENCE_STEPS
-    save(pictures.difference_steps(steps, tolerances.difference_steps(steps)), to / "difference-steps.png")
+def _curves(to: Path, steps: int) -> None:
+    save(pictures.newton_tolerance(newton_curves(steps)), to / "newton-tolerance.png")
+    widths = tolerances.DIFFERENCE_STEPS
+    save(pictures.difference_steps(widths, tolerances.difference_steps(widths)), to / "difference-steps.png")
 
 
 def newton_curves(steps: int = 200) -> dict[str, tuple[Array, Array, Array]]:

@@ -20,13 +20,15 @@ CONTROL, TWIN = "control A", "control A'"
 
 @dataclass(frozen=True)
 class Timing:
-    """Seconds of one run: the least, the median and the quartiles; median ratio to the control, chunk by chunk."""
+    """Seconds of one run: the least, the median and the quartiles; median ratio to the control, chunk by chunk, and
+    the control's least seconds."""
 
     least: float
     median: float
     low: float
     high: float
     ratio: float
+    control: float
     repeats: int
 
 
@@ -67,7 +69,7 @@ def _read(run: Callable[[], Any], count: int) -> float:
 def _summary(seconds: Any, base: Any) -> Timing:
     low, median, high = (float(x) for x in np.percentile(seconds, [25, 50, 75]))
     ratio = float(np.median(seconds / base[: len(seconds)]))
-    return Timing(float(seconds.min()), median, low, high, ratio, len(seconds))
+    return Timing(float(seconds.min()), median, low, high, ratio, float(base.min()), len(seconds))
 
 
 @contextmanager

@@ -30,7 +30,7 @@ from dsim.studies.stopwatch import time_interleaved
 
 BLOWN_UP = 100.0  # a scaled error beyond this is no solution
 TARGETS = tuple(10.0**-k for k in range(2, 9))
-TOLERANCES = (1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8, 1e-9, 1e-10)
+FINEST = {"Radau": 8}  # of order 5 and implicit: 1e-8 already takes a thousand steps
 CLIP = 100.0  # certificates: below this many nothing is plotted, so the truth is known to a hundredth of each error
 QUANTITIES = ("state", "gradient")
 
@@ -41,7 +41,8 @@ Method = Stepper | Reference
 class Cell:
     """One run.  setting: h in s, or a tolerance.  error, gradient_error: scaled; inf where the run failed.
 
-    seconds, gradient_seconds: least of the repeats (forward; forward and adjoint), nan when not timed.
+    seconds, gradient_seconds: least of the repeats (forward; forward and adjoint), nan when not timed.  A study
+    replaces them by the median ratio to the control times the control's least seconds: see `steadied`.
     drift: largest relative change of an invariant.  counts: of the run; gradient runs linearize on top of it.
     """
 
@@ -120,9 +121,10 @@ class Study:
         return tuple(sorted((c for c in self.cells if c.method == method), key=lambda c: -c.setting))
 
     def points(self, method: str, quantity: str = "state") -> tuple[Array, Array]:
-        """(cost, error) of the runs that ended well and lie above the floor."""
-        good = [c for c in self.of(method) if not c.failed and c.error_of(quantity) >= self.floor(quantity)]
-        return np.array([c.cost(quantity, self.unit) for c in good]), np.array([c.error_of(quantity) for c in good])
+        """(cost, error) of the runs that ended well; an error below the floor is only known to be no larger than it."""
+        good = [c for c in self.of(method) if not c.failed]
+        error = [max(c.error_of(quantity), self.floor(quantity)) for c in good]
+        return np.array([c.cost(quantity, self.unit) for c in good]), np.array(error)
 
     def order(self, method: str, quantity: str = "state") -> OrderFit | None:
         """The slope on the asymptotic window; None with fewer than three points, or for a tolerance."""
@@ -131,9 +133,10 @@ class Study:
 
     def front(self, quantity: str = "state") -> tuple[Cell, ...]:
         """The Pareto set: no other run is both cheaper and more accurate."""
-        good = [c for c in self.cells if not c.failed and c.error_of(quantity) >= self.floor(quantity)]
+        good = [c for c in self.cells if not c.failed]
         costs = [c.cost(quantity, self.unit) for c in good]
-        return tuple(good[i] for i in pareto(costs, [c.error_of(quantity) for c in good]))
+        errors = [max(c.error_of(quantity), self.floor(quantity)) for c in good]
+        return tuple(good[i] for i in pareto(costs, errors))
 
     def cheapest(self, target: float, quantity: str = "state") -> Answer:
         """The method that reaches `target` at the least cost, interpolated in log-log and never extrapolated."""
@@ -201,8 +204,8 @@ def cost_at(cost: Array, error: Array, target: float) -> float | None:
 
     None where no run of the sweep is accurate enough.
 
-    >>> cost_at(np.array([1.0, 10.0]), np.array([1e-2, 1e-4]), 1e-3)
-    3.16227766016838
+    >>> round(cost_at(np.array([1.0, 10.0]), np.array([1e-2, 1e-4]), 1e-3), 4)
+    3.1623
     >>> cost_at(np.array([1.0, 10.0]), np.array([1e-2, 1e-4]), 1e-5) is None
     True
     """
@@ -235,12 +238,13 @@ class Sweep:
     def settings(self, problem: Problem, method: Method) -> tuple[float, ...]:
         """Step counts, or tolerances."""
         if isinstance(method, Reference):
-            return TOLERANCES[: self.levels]
+            exponents = np.linspace(3, FINEST.get(method.method, 12), self.levels).round()
+            return tuple(dict.fromkeys(float(f"1e-{k:.0f}") for k in exponents))
         levels = self.costly if getattr(method, "implicit", False) else self.levels
         return tuple(problem.coarsest * 2**k for k in range(levels))
 
 
-QUICK = Sweep(levels=4, costly=3, rounds=1)
+QUICK = Sweep(levels=3, costly=2, rounds=1)
 COUNTED = Sweep(levels=5, costly=3, rounds=0)
 
 
@@ -275,7 +279,25 @@ def work_precision(
         cells += _measure_level(problem, missing, sweep, store, progress)
     ranked = sorted(cells, key=lambda c: names.index(c.method))
     unit = "seconds" if sweep.rounds else "forces"
-    return Study(problem.name, tuple(ranked), *_certificates(problem, store), unit)
+    return Study(problem.name, steadied(ranked), *_certificates(problem, store), unit)
+
+
+def steadied(cells: Sequence[Cell]) -> tuple[Cell, ...]:
+    """Seconds = median paired ratio to the control x the control's least seconds in the study.
+
+    Levels are timed minutes apart, in which a shared machine changes its speed; the ratio to a control measured in the
+    same breath does not.
+    """
+    timings = [timing for cell in cells if cell.timing for timing in cell.timing.values()]
+    base = min((timing["control"] for timing in timings), default=1.0)
+
+    def steady(cell: Cell) -> Cell:
+        if not cell.timing:
+            return cell
+        state, gradient = (base * cell.timing[quantity]["ratio"] for quantity in QUANTITIES)
+        return replace(cell, seconds=state, gradient_seconds=gradient)
+
+    return tuple(steady(cell) for cell in cells)
 
 
 def _certificates(problem: Problem, store: Store) -> tuple[float, float]:
