@@ -7,12 +7,11 @@ import os
 import shutil
 import sys
 import tempfile
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib.figure import Figure
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from PIL import Image
 
 from dsim.pictures.files import write_atomically
@@ -37,27 +36,26 @@ def milliseconds(trajectory: Trajectory) -> int:
     return max(20, round(1000 * duration / len(chosen(trajectory))))
 
 
-def _frames(scene: Scene, trajectory: Trajectory) -> Iterator[Figure]:
-    ready = film(scene, trajectory)
-    width, height = ready.box[1] - ready.box[0]
-    tall = float(np.clip(6.0 * height / width + 0.9, 2.5, 7.0))
-    for n in chosen(trajectory):
-        with style():
-            figure, axes = canvas(size=(7.2, tall))
-            draw_frame(axes, ready, n)
-            dress(axes, ready)
-            dress_figure(figure, [axes], ready)
-            figure.suptitle(scene.name.replace("_", " "), x=0.01, ha="left", fontsize=12, fontweight="bold")
-        yield figure
-
-
+@style()
 def images(scene: Scene, trajectory: Trajectory, dpi: int = 80) -> list[Image.Image]:
     """Every frame as a picture, all of one size."""
-    found = []
-    for figure in _frames(scene, trajectory):
-        with style(), io.BytesIO() as buffer:
-            figure.savefig(buffer, format="png", dpi=dpi)
-            found.append(Image.open(io.BytesIO(buffer.getvalue())).convert("RGB"))
+    ready = film(scene, trajectory)
+    width, height = ready.box[1] - ready.box[0]
+    figure, axes = canvas(size=(7.2, float(np.clip(6.0 * height / width + 0.9, 2.5, 7.0))))
+    figure.set_dpi(dpi)
+    surface = FigureCanvasAgg(figure)
+    found: list[Image.Image] = []
+    for n in chosen(trajectory):
+        axes.clear()
+        draw_frame(axes, ready, n)
+        dress(axes, ready)
+        if not found:  # laid out once: quicker, and nothing jumps from frame to frame
+            dress_figure(figure, [axes], ready)
+            figure.suptitle(scene.name.replace("_", " "), x=0.01, ha="left", fontsize=12, fontweight="bold")
+            surface.draw()
+            figure.set_layout_engine("none")
+        surface.draw()
+        found.append(Image.fromarray(np.asarray(surface.buffer_rgba())).convert("RGB"))
     return found
 
 
@@ -65,7 +63,8 @@ def write(scene: Scene, trajectory: Trajectory, path: str | Path) -> Path:
     """Write a `.gif` or `.mp4`, completely or not at all.  Raises ValueError for .mp4 without ffmpeg."""
     path = Path(path)
     if path.suffix.lower() == ".mp4":
-        return write_atomically(path, _mp4(images(scene, trajectory), milliseconds(trajectory)))
+        program = _ffmpeg()  # asked for before the frames are drawn
+        return write_atomically(path, _mp4(program, images(scene, trajectory), milliseconds(trajectory)))
     first, *rest = (image.quantize(128, dither=Image.Dither.NONE) for image in images(scene, trajectory))
     with io.BytesIO() as buffer:
         options: dict[str, Any] = {"duration": milliseconds(trajectory), "loop": 0, "save_all": True}
@@ -73,12 +72,16 @@ def write(scene: Scene, trajectory: Trajectory, path: str | Path) -> Path:
         return write_atomically(path, buffer.getvalue())
 
 
-def _mp4(frames: list[Image.Image], duration: int) -> bytes:
-    import subprocess
-
+def _ffmpeg() -> str:
     program = shutil.which("ffmpeg")
     if program is None:
         raise ValueError("an .mp4 needs the program ffmpeg, which is not installed; use .gif, or install it")
+    return program
+
+
+def _mp4(program: str, frames: list[Image.Image], duration: int) -> bytes:
+    import subprocess
+
     with tempfile.TemporaryDirectory() as directory:
         for number, frame in enumerate(frames):
             frame.crop((0, 0, frame.width // 2 * 2, frame.height // 2 * 2)).save(f"{directory}/{number:04d}.png")
@@ -94,6 +97,12 @@ def require_screen() -> None:
     """Raises ValueError where no window can be opened."""
     if sys.platform.startswith("linux") and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
         raise ValueError("--screen needs a display, and there is none; use --to FILE.gif")
+    import matplotlib.pyplot as plt
+    from matplotlib.backends.registry import BackendFilter, backend_registry
+
+    windows = [name.lower() for name in backend_registry.list_builtin(BackendFilter.INTERACTIVE)]
+    if plt.get_backend().lower() not in windows:  # without a toolkit, matplotlib would draw and show nothing
+        raise ValueError("--screen needs a window toolkit for matplotlib, such as Tk or Qt; use --to FILE.gif")
 
 
 def on_screen(scene: Scene, trajectory: Trajectory) -> None:

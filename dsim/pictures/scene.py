@@ -22,7 +22,7 @@ from dsim.system import System
 
 # Blue is compressed, orange stretched: told apart under every kind of colour blindness.  The middle is dark, since a
 # spring at rest must be seen on white.
-STRAIN = LinearSegmentedColormap.from_list("strain", ["#38A8F5", "#0072B2", "#3A3A3A", "#C04F00", "#FF8C1A"])
+STRAIN = LinearSegmentedColormap.from_list("strain", ["#1E9BF0", "#0B6FB8", "#55595E", "#C85200", "#FF8A1F"])
 FAINT, AIR, INK = "#8C959F", "#7FB3A6", "#1F2328"
 TURN, TILT = np.radians(35.0), np.radians(18.0)  # the direction from which a 3-D scene is seen
 
@@ -41,7 +41,7 @@ class Film:
     depth: Array
     box: Array
     strain: Array | None
-    limit: float  # the largest |strain|
+    limit: float  # the |strain| from which on the colour is the strongest
 
     @property
     def frames(self) -> int:
@@ -57,9 +57,11 @@ def film(scene: Scene, trajectory: Trajectory) -> Film:
     marks, _ = projected(np.reshape(scene.marks, (1, -1, scene.dimension)))
     seen = np.concatenate([places.reshape(-1, 2), marks[0]])
     low, high = seen.min(axis=0), seen.max(axis=0)
-    margin = 0.08 * max(*(high - low), 1e-9)
+    motors = any(isinstance(effect, Actuation) for effect in getattr(scene.system, "effects", ()))
+    margin = (0.18 if motors else 0.08) * max(*(high - low), 1e-9)  # room for the arrows of the motors
     strain = _strain(scene, x)
-    limit = 1e-12 if strain is None or not strain.size else max(1e-12, float(np.abs(strain).max()))
+    # a spring that is jerked for a moment must not take the colour from all others: the strongest 2 % saturate
+    limit = 1e-12 if strain is None or not strain.size else max(1e-12, float(np.quantile(np.abs(strain), 0.98)))
     return Film(scene, trajectory, places, depth, np.stack([low - margin, high + margin]), strain, limit)
 
 
@@ -98,9 +100,14 @@ def draw_frame(axes: Axes, film: Film, n: int) -> None:
     if len(scene.edges):
         axes.add_collection(_springs(film, n))
     if scene.points <= 40:
-        size = 60 if scene.points <= 3 else 14
+        size = 60 if scene.points <= 3 else 7
         axes.scatter(
-            places[free, 0], places[free, 1], s=size, color=COLOURS[0] if size > 14 else INK, zorder=4, linewidths=0
+            places[free, 0],
+            places[free, 1],
+            s=size,
+            color=COLOURS[0] if scene.points <= 3 else INK,
+            zorder=4,
+            linewidths=0,
         )
     axes.scatter(
         places[pinned, 0], places[pinned, 1], s=42, marker="s", color="white", edgecolors=INK, linewidths=1.4, zorder=5
@@ -148,8 +155,7 @@ def _draw_air(axes: Axes, film: Film, n: int) -> None:
         air = np.broadcast_to(effect.wind(film.trajectory.t[n], grid), grid.shape)
         fastest = max(1e-12, *(float(np.abs(effect.wind(t, grid)).max()) for t in film.trajectory.t[::10]))
         span = float(size.max()) / 7
-        arrows: dict[str, Any] = {"angles": "xy", "scale_units": "xy", "width": 0.012, "minlength": 0.5}
-        axes.quiver(*grid.T, *(air * span / fastest).T, scale=1, color=AIR, zorder=0, **arrows)
+        _arrows(axes, grid, air * span / fastest, AIR, zorder=0)
 
 
 def _draw_motors(axes: Axes, film: Film, n: int) -> None:
@@ -158,8 +164,13 @@ def _draw_motors(axes: Axes, film: Film, n: int) -> None:
         if isinstance(effect, Actuation) and film.scene.dimension == 2:
             force = effect.forces[min(n, len(effect.forces) - 1)]
             span = 0.18 * float((film.box[1] - film.box[0]).max()) / max(1e-12, float(np.abs(effect.forces).max()))
-            arrows: dict[str, Any] = {"angles": "xy", "scale_units": "xy", "width": 0.012, "minlength": 0.5}
-            axes.quiver(*film.places[n].T, *(span * force).T, scale=1, color=COLOURS[3], zorder=6, **arrows)
+            _arrows(axes, film.places[n], span * force, COLOURS[3], zorder=6)
+
+
+def _arrows(axes: Axes, x: Array, length: Array, color: str, zorder: int) -> None:
+    """Arrows from x (K,2), `length` (K,2) long in the units of the axes."""
+    how: dict[str, Any] = {"angles": "xy", "scale_units": "xy", "scale": 1, "width": 0.01, "minlength": 0.5}
+    axes.quiver(*x.T, *length.T, color=color, zorder=zorder, **how)
 
 
 @style()
@@ -171,10 +182,10 @@ def filmstrip(scene: Scene, trajectory: Trajectory, frames: int = 6) -> Figure:
     columns = int(np.clip(round(np.sqrt(6.0 * len(chosen) * height / width / 2)), 2, len(chosen)))
     columns = -(-len(chosen) // -(-len(chosen) // columns))  # rows equally full
     rows = -(-len(chosen) // columns)
-    panel = 12.0 / columns
-    tall = float(np.clip(panel * height / width + 0.45, 1.3, 6.0)) * rows + 0.8
-    size = (12.6, tall)
-    figure, panels = canvas(rows, columns, size, sharex=True, sharey=True, squeeze=False)
+    beside = (0.1 if scene.dimension == 3 else 0.8) + (0.0 if ready.strain is None else 1.0)  # labels, colour bar
+    panel = (12.6 - beside) / columns - 0.1
+    tall = float(np.clip(panel * height / width + 0.35, 1.0, 6.0)) * rows + 0.9
+    figure, panels = canvas(rows, columns, (12.6, tall), sharex=True, sharey=True, squeeze=False)
     for axes in panels.flat[len(chosen) :]:
         axes.set_visible(False)
     for axes, n in zip(panels.flat, chosen, strict=False):
@@ -213,7 +224,7 @@ def dress_figure(figure: Figure, panels: list[Axes], film: Film) -> None:
     figure.supxlabel(stepping(film.trajectory), x=0.01, ha="left", fontsize=9, color="#57606a")
     if film.strain is not None:
         bar = ScalarMappable(Normalize(-100 * film.limit, 100 * film.limit), STRAIN)
-        figure.colorbar(bar, ax=panels, label="strain (%)", fraction=0.03, pad=0.01, aspect=25)
+        figure.colorbar(bar, ax=panels, label="strain (%)", extend="both", fraction=0.03, pad=0.01, aspect=25)
 
 
 @style()
