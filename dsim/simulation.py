@@ -81,6 +81,8 @@ class Trajectory:
 
     def step(self, n: int) -> Step:
         """The step from t_n to t_{n+1}, with its history."""
+        if not 0 <= n < len(self.t) - 1:
+            raise ValueError(f"n must be a step from 0 to {len(self.t) - 2}; got {n}")
         if self.steps is not None:
             return self.steps[n]
         return Step(float(self.t[n]), self.h, self._state(n), self._state(n + 1))
@@ -179,7 +181,7 @@ def _explicit(run: ExplicitRun, y0: Array, steps: int, keep: Keep) -> Trajectory
         done = run.evaluate(y0, steps, keep_tape=keep == "steps")
     status = Status.CONVERGED if done == steps else Status.NOT_FINITE
     taken = done + (status is not Status.CONVERGED)
-    counters = Counters(forces=taken * len(run.tableau.stages))
+    counters = Counters(forces=taken * run.stages)
     t: Array = run.h * np.arange(done + 1, dtype=float)
     return Trajectory(run.stepper, run.system, run.h, t, None, status, counters, run=run)
 

@@ -284,3 +284,19 @@ def test_taylor_remainders():
     for wrong in (1.01 * np.cos(X), -np.cos(X), bent(np.cos(X), 2, 0.01), 0 * X):
         report = taylor_test(sines, X, wrong)
         assert not report.ok and report.slope == pytest.approx(1, abs=0.1)
+
+
+@pytest.mark.parametrize("n", [5, 30, 100])
+@pytest.mark.parametrize("seed", range(3))
+def test_values_rounded_inside_never_make_a_right_gradient_wrong(n, seed):
+    x = np.random.default_rng(seed).normal(size=n)
+    assert check_gradient(lambda z: float((z.astype(np.float32) ** 2).sum()), x, 2 * x).verdict == "noise"
+    assert check_gradient(lambda z: float(f"{z @ z:.6g}"), x, 2 * x).verdict == "noise"
+
+
+def test_what_round_off_hides_is_not_called_right():
+    x = np.array([0.3, 0.4])
+    assert check_gradient(lambda z: 1e12 + np.sin(z).sum(), x, 2 * np.cos(x)).verdict == "noise"
+    assert check_gradient(lambda z: 1e8 + 1e-4 * np.sin(z).sum(), x, np.zeros(2)).verdict == "noise"
+    report = check_gradient(lambda z: 1e12 * z[0] ** 2 + z[1], x, [0.6e12, 1.0])
+    assert report.ok and "1 entries are too small" in report.note

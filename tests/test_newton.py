@@ -324,3 +324,13 @@ def test_an_overflow_that_reads_zero_is_no_solution():
         lambda x: x / np.sqrt(1 + x**2), lambda x: np.diag((1 + x**2) ** -1.5), np.array([1.1]), globalize="none"
     )
     assert result.status in (Status.NOT_FINITE, Status.SINGULAR) and not result.converged
+
+
+@pytest.mark.parametrize("start", [1e-12, 1e-3])
+def test_a_small_step_at_a_small_scale_is_no_convergence(start):
+    result = newton(np.log, lambda z: np.diag(1 / z), np.array([start]), max_iterations=200)
+    assert result.converged and abs(result.z[0] - 1) < 1e-9
+
+
+def test_a_wrong_jacobian_that_hardly_moves_is_no_convergence():
+    assert not newton(lambda z: z - 1, lambda z: 1e8 * np.eye(1), np.zeros(1)).converged

@@ -34,7 +34,8 @@ def adjoint(trajectory: Trajectory, dJdy: Any) -> Gradient:
     stepper, system = trajectory.attached()
     dJdy = as_array("dJdy", dJdy, (len(trajectory.t), system.size))
     if trajectory.run is not None:
-        mu, theta_bar = trajectory.run.pull(dJdy)
+        with np.errstate(divide="ignore"):  # 1/l of coincident ends, set to 0 by the springs
+            mu, theta_bar = trajectory.run.pull(dJdy)
         return Gradient(mu + dJdy[0], theta_bar, system.split(theta_bar))
     mu = np.zeros(stepper.history * system.size)
     theta_bar = np.zeros(system.parameter_count)

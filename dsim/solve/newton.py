@@ -164,7 +164,10 @@ class _Problem:
             if not np.isfinite(r).all():
                 return finish(Status.NOT_FINITE)
             stalled = corrections[-1] <= _ROUND_OFF and corrections[-1] >= 0.25 * min(corrections[:-1], default=np.inf)
-            if residuals[-1] == 0.0 or corrections[-1] <= tol or stalled:
+            # A small step proves nothing where the residual has not fallen: the scale of z may deceive.
+            fallen = self.size is not relative_size or residuals[-1] <= 1e-3 * residuals[0]
+            settled = len(corrections) > 3 and max(corrections[-3:]) <= tol
+            if residuals[-1] == 0.0 or settled or (fallen and (corrections[-1] <= tol or stalled)):
                 return finish(Status.CONVERGED)
             if len(corrections) > self.max_iterations:
                 return finish(Status.MAX_ITERATIONS)

@@ -38,8 +38,10 @@ class ExplicitRun:
     system: Any  # a System; see `applies`
     h: float
     tape: list[list[tuple[Array, Saved]]] | None = None  # a step -> a stage -> its rate and what the effects saved
+    stages: int = field(init=False, default=0)  # rates a step
     states: Array = field(init=False, repr=False)  # (N+1,2,d,N), the velocity of pinned points 0
     y0: Array = field(init=False, repr=False)  # as it was given
+    evaluations: int = field(init=False, default=0)  # of the rate
     _rows: list[Rows] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -63,6 +65,7 @@ class ExplicitRun:
 
     def rate(self, t: float, x: Array, v: Array, saved: Saved) -> Array:
         """M^-1 f on rows."""
+        self.evaluations += 1
         force = np.zeros(self.shape)
         for rows, kept in zip(self._rows, saved, strict=True):
             rows.add_force(t, x, v, force, kept)
@@ -80,6 +83,8 @@ class ExplicitRun:
         while n < steps and done:
             self._advance(n * self.h, self.states[n], self.states[n + 1])
             n += 1
+            if n == 1:
+                self.stages = self.evaluations
             done = n % _CHECKED != 0 or bool(np.isfinite(self.states[n]).all())
         finite: Any = np.isfinite(self.states[1 : n + 1]).all(axis=(1, 2, 3))
         good = n if finite.all() else int(finite.argmin())

@@ -10,6 +10,7 @@ import sys
 import tempfile
 import traceback
 from collections.abc import Callable, Sequence
+from contextlib import redirect_stdout
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -60,7 +61,8 @@ def load_function(text: str) -> Callable[[Any], Any]:
     module = importlib.util.module_from_spec(spec)
     sys.path.insert(0, str(path.parent))
     try:
-        spec.loader.exec_module(module)
+        with redirect_stdout(sys.stderr):
+            spec.loader.exec_module(module)
     except (Exception, SystemExit) as error:
         raise ValueError(f"{file} could not be run: {_told(error, path)}") from error
     function = getattr(module, name, None)
@@ -70,7 +72,8 @@ def load_function(text: str) -> Callable[[Any], Any]:
 
     def called(x: Any) -> Any:
         try:
-            return function(x)
+            with redirect_stdout(sys.stderr):  # what it prints must not mix with the verdict
+                return function(x)
         except (Exception, SystemExit) as error:
             raise ValueError(f"{name} raised {_told(error, path)}") from error
 
@@ -104,8 +107,8 @@ class Program:
             raise ValueError(f"--format must be one of {', '.join(FORMATS)}; got {self.format!r}")
         if not shlex.split(self.command):
             raise ValueError("--exec must name a program; got an empty text")
-        if not self.timeout > 0:
-            raise ValueError(f"--timeout must be > 0 seconds; got {self.timeout}")
+        if not 0 < self.timeout <= 1e6:
+            raise ValueError(f"--timeout must be > 0 and at most 1e6 seconds; got {self.timeout}")
 
     def __call__(self, x: Array) -> tuple[float, Array]:
         answer = self._run(x[None] if self.batch else x)

@@ -88,7 +88,7 @@ class GradientReport:
             "digits": round(self.digits, 2),
             "worst": {
                 "entry": self.worst,
-                "given": None if self.given is None else float(self.given[i]),
+                "given": None if self.given is None else _finite(self.given[i]),
                 "numerical": _finite(self.numerical[i]),
                 "error": _finite(self.error[i]),
             },
@@ -266,7 +266,25 @@ class _Sweep:
             bend = np.abs(self.ahead - 2 * f.value + self.behind)
         # At the finest steps a smooth f is a line: what is left of its second difference is noise.
         self.bend = np.where(np.isfinite(bend), bend, 0.0)[:, -3:].max(axis=1)
+        self.bend = np.maximum(self.bend, self._quantum())
         self.noise = np.maximum(self.rounding, self.bend[:, None])
+
+    def _quantum(self) -> float:
+        """The height of a stair, where values are rounded to a lower precision than f's own; else 0.
+
+        Told by directions in which the finest steps change nothing at all, coarse ones change both sides in
+        several sizes, and even the smallest change is far above round-off.
+        """
+        found = 0.0
+        for row in range(len(self.ahead)):
+            gaps = [np.abs(values[row] - self.f.value) for values in (self.ahead, self.behind)]
+            sizes = [np.unique(gap[gap > 0]) for gap in gaps]
+            if (gaps[0][-3:] + gaps[1][-3:]).any() or min(len(size) for size in sizes) < 3:
+                continue
+            riser = float(min(size[0] for size in sizes))
+            if 8 * self.rounding[row, -1] < riser < np.inf:
+                found = riser if found == 0.0 else min(found, riser)
+        return found
 
     @property
     def steepest(self) -> Array:
@@ -322,7 +340,10 @@ def _judge(sweep: _Sweep, claimed: Array | None, labels: tuple[str, ...], covera
     middle = sweep.estimate(sweep.central, sweep.steps, power=2)
     right = sweep.estimate(sweep.right, sweep.h_ahead, power=1)
     left = sweep.estimate(sweep.left, sweep.h_behind, power=1)
-    verdicts = [_verdict(sweep, row, middle, (left, right), claimed, rtol) for row in range(len(labels))]
+    known = np.where(np.isfinite(middle.error), np.abs(np.nan_to_num(middle.value)), 0.0)
+    largest = float(max(known.max(), 0.0 if claimed is None else np.abs(np.nan_to_num(claimed)).max()))
+    sides = (left, right)
+    verdicts = [_verdict(sweep, row, (middle, *sides), claimed, (rtol, largest)) for row in range(len(labels))]
     order: tuple[Verdict, ...] = ("wrong", "jump", "kink", "noise", "smooth")
     verdict = min(verdicts, key=order.index)
     off = _disagreement(sweep, middle, claimed)
@@ -333,7 +354,7 @@ def _judge(sweep: _Sweep, claimed: Array | None, labels: tuple[str, ...], covera
         digits=digits,
         window=(float(middle.finest[row]), float(middle.coarsest[row])),
         worst=labels[row],
-        note=_note(sweep, row, middle, verdict),
+        note=_note(sweep, row, middle, verdict) or _too_small(sweep, middle, claimed, verdict),
         numerical=middle.value,
         error=middle.error,
         given=claimed,
@@ -350,11 +371,12 @@ def _judge(sweep: _Sweep, claimed: Array | None, labels: tuple[str, ...], covera
 def _verdict(
     sweep: _Sweep,
     row: int,
-    middle: Estimate,
-    sides: tuple[Estimate, Estimate],
+    estimates: tuple[Estimate, Estimate, Estimate],
     claimed: Array | None,
-    rtol: float,
+    scales: tuple[float, float],
 ) -> Verdict:
+    middle, *sides = estimates
+    rtol, largest = scales
     given = None if claimed is None else float(claimed[row])
     if given is not None and not np.isfinite(given):
         return "wrong"
@@ -377,7 +399,16 @@ def _verdict(
         return "noise"
     if given is not None and abs(given - slope) > rtol * max(abs(given), abs(slope)) + doubt:
         return "wrong"
+    if _unknown(sweep, row, middle, given) and max(abs(slope), abs(given or 0.0)) > 1e-6 * largest:
+        return "noise"
     return "smooth"
+
+
+def _unknown(sweep: _Sweep, row: int, middle: Estimate, given: float | None) -> bool:
+    """Whether round-off hides the derivative: its error estimate leaves not even two digits to judge by."""
+    flat = (sweep.ahead[row] == sweep.f.value).all() and (sweep.behind[row] == sweep.f.value).all()
+    size = max(abs(float(middle.value[row])), abs(given or 0.0), float(sweep.steepest[row]))
+    return not flat and bool(_TRUST * middle.error[row] > 1e-2 * size)
 
 
 def _jumps(sweep: _Sweep, row: int) -> bool:
@@ -435,6 +466,14 @@ def _note(sweep: _Sweep, row: int, middle: Estimate, verdict: Verdict) -> str:
         reach = sweep.steps[row][coarse & away].min()
         return f"differences with steps of {reach:.0e} and more disagree: a kink, a jump or strong bending is that near"
     return ""
+
+
+def _too_small(sweep: _Sweep, middle: Estimate, claimed: Array | None, verdict: Verdict) -> str:
+    given = [None] * len(middle.value) if claimed is None else claimed.tolist()
+    count = sum(_unknown(sweep, row, middle, value) for row, value in enumerate(given))
+    if verdict != "smooth" or not count:
+        return ""
+    return f"{count} entries are too small beside the others to be judged"
 
 
 def _as_gradient(gradient: Any, shape: tuple[int, ...]) -> Array:
