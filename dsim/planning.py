@@ -9,15 +9,18 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
 from dsim.arrays.checks import Array, as_array, as_step
 from dsim.solve.linear import DENSE_SIZE
 from dsim.steppers.explicit_run import applies
-from dsim.steppers.stepper import Counters, Ode, Stepper
+from dsim.steppers.stepper import FACTOR_BYTES, Counters, Ode, Stepper
 from dsim.system import System
+
+if TYPE_CHECKING:
+    from dsim.solve.band import Band
 
 WANTS = ("gradient",)
 
@@ -85,8 +88,7 @@ class Plan:
         needs = self.implicit
         yield Line("on" if needs else "off", "Jacobians, factorization", self._linear_algebra())
         if "gradient" in self.want:
-            why = "the states; keep='steps' also saves what the way back needs" if self.rows else "the states"
-            yield Line("on", "tape", why)
+            yield Line("on", "tape", self._tape())
         else:
             yield Line("off", "tape", "no gradient asked for (want=('gradient',))")
         if isinstance(self.system, System):
@@ -99,8 +101,27 @@ class Plan:
         if not self.implicit:
             return "explicit stepper (choose an implicit one)"
         size = self.system.n
+        if self.band is not None:
+            return f"once an iteration; band Cholesky, {size} x {self.band.width}"
         kind = "dense" if size <= DENSE_SIZE else "sparse"
-        return f"one each a Newton iteration, {kind} {size} x {size}"
+        return f"once an iteration; {kind} LU, {size} x {size}"
+
+    @cached_property
+    def band(self) -> Band | None:
+        """The band of an implicit step's matrix, where it is symmetric and has one."""
+        if not (self.implicit and isinstance(self.system, System)) or self.system.n <= DENSE_SIZE:
+            return None
+        system, weights = self.system.at(0.0, self.y0, self.h), (self.h**2, self.h)
+        system.stage_matrix(0.0, system.blocks(self.y0), weights)
+        return system.stage_band(weights)
+
+    def _tape(self) -> str:
+        if self.rows:
+            return "the states; keep='steps' also saves what the way back needs"
+        if self.band is None:
+            return "the states"
+        size = 8 * self.band.numbers
+        return f"the states; keep='factors': {size / 1e6:.3g} MB a step, up to {FACTOR_BYTES // size} steps"
 
     def _warnings(self) -> Iterator[Line]:
         limit = getattr(self.stepper, "frequency_limit", np.inf)

@@ -14,12 +14,13 @@ from typing import Any, Literal
 import numpy as np
 
 from dsim.arrays.checks import Array, as_array, as_count, as_step
+from dsim.arrays.frozen import replace
 from dsim.planning import Plan
 from dsim.solve.newton import Status
 from dsim.steppers.explicit_run import ExplicitRun
-from dsim.steppers.stepper import Counters, Ode, Step, Stepper
+from dsim.steppers.stepper import FACTOR_BYTES, Counters, Ode, Step, Stepper
 
-Keep = Literal["states", "steps"]
+Keep = Literal["states", "steps", "factors"]
 
 
 class SimulationError(RuntimeError):
@@ -141,7 +142,8 @@ def simulate(stepper: Stepper, system: Ode, y0: Any, h: float, steps: int, keep:
     """Take `steps` steps of size h from y0 at t = 0.
 
     y0 (ny,) = [q, v]; pinned points do not move, whatever their velocity in y0.  keep: "states" for `.y` alone,
-    "steps" for every Step too, which saves the adjoint a force evaluation a step.
+    "steps" for every Step too, which saves the adjoint a force evaluation a step; "factors" for the band factors of
+    implicit steps as well, within `FACTOR_BYTES`: the adjoint solves by conjugate gradients with them, to 1e-11.
     Raises ValueError on bad input, SimulationError (with the completed part) at a step that fails.
 
     >>> import numpy as np
@@ -166,8 +168,8 @@ def record(stepper: Stepper, system: Ode, y0: Any, h: float, steps: int, keep: K
         raise ValueError(f"system must be a System or a Flow; got {system!r:.60}")
     y0 = as_array("y0", y0, (system.size,))
     h, steps = as_step(h), as_count("steps", steps)
-    if keep not in ("states", "steps"):
-        raise ValueError(f'keep must be "states" or "steps"; got {keep!r}')
+    if keep not in ("states", "steps", "factors"):
+        raise ValueError(f'keep must be "states", "steps" or "factors"; got {keep!r}')
     if Plan(system, stepper, y0, h).rows:
         return _explicit(ExplicitRun(stepper, system, h), y0, steps, keep)
     y = np.empty((steps + 1, system.size))
@@ -178,7 +180,7 @@ def record(stepper: Stepper, system: Ode, y0: Any, h: float, steps: int, keep: K
 def _explicit(run: ExplicitRun, y0: Array, steps: int, keep: Keep) -> Trajectory:
     """All steps at once, on coordinate rows."""
     with np.errstate(all="ignore"):
-        done = run.evaluate(y0, steps, keep_tape=keep == "steps")
+        done = run.evaluate(y0, steps, keep_tape=keep != "states")
     status = Status.CONVERGED if done == steps else Status.NOT_FINITE
     taken = done + (status is not Status.CONVERGED)
     counters = Counters(forces=taken * run.stages)
@@ -190,6 +192,7 @@ def _stepwise(stepper: Stepper, system: Ode, y: Array, h: float, keep: Keep) -> 
     """Step after step, each with its status."""
     taken: list[Step] = []
     steps, done = len(y) - 1, 0
+    budget = FACTOR_BYTES if keep == "factors" else 0
     with np.errstate(over="ignore", invalid="ignore"):
         start = stepper.start(system, 0.0, y[0], h)
         state, counters, status = start.y1, start.counters, start.status
@@ -199,9 +202,10 @@ def _stepwise(stepper: Stepper, system: Ode, y: Array, h: float, keep: Keep) -> 
             if status is Status.CONVERGED:
                 done += 1
                 y[done] = state[: system.size]
-                if keep == "steps":
-                    taken.append(step)
-    kept = tuple(taken) if keep == "steps" else None
+                if keep != "states":
+                    budget -= step.factor_bytes
+                    taken.append(step if budget >= 0 else replace(step, factors=None))
+    kept = None if keep == "states" else tuple(taken)
     t: Array = h * np.arange(done + 1, dtype=float)
     return Trajectory(stepper, system, h, t, y[: done + 1], status, counters, kept)
 

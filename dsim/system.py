@@ -20,9 +20,12 @@ from dsim.arrays.scatter import diagonal
 from dsim.effects.effect import Effect
 from dsim.effects.rows import products
 from dsim.solve.linear import DENSE_SIZE
+from dsim.solve.patterns import SumPattern
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
+
+    from dsim.solve.band import Band
 
 
 class _Parameter(NamedTuple):
@@ -48,6 +51,7 @@ class System:
     fixed: Any = ()  # stored as a tuple of indices
     layout: tuple[tuple[_Parameter, ...], ...] = field(default=(), repr=False)  # one entry an effect
     free: Array = field(default_factory=lambda: np.empty(0), repr=False)  # (n,) 1, and 0 at pinned entries
+    patterns: dict[tuple[bool, ...], SumPattern] = field(default_factory=dict, repr=False)  # of stage matrices
 
     def __post_init__(self) -> None:
         mass = as_positive("mass", self.mass, (None,))
@@ -261,16 +265,28 @@ class System:
         return matrix
 
     def _sparse_stage_matrix(self, where: tuple[Any, ...], weights: tuple[float, float]) -> csr_array:
-        from scipy.sparse import csr_array
-
-        matrix = diagonal(self.masses)
+        terms = [(1.0, diagonal(self.masses))]
         for weight, capability in zip(weights, ("dq", "dv"), strict=True):
-            if weight and self.having(capability):
-                matrix = matrix - weight * self._sum(capability, *where)
-        if not self.fixed:
-            return csr_array(matrix)
-        free, pinned = diagonal(self.free), diagonal((1 - self.free) * self.masses)
-        return csr_array(free @ matrix @ free + pinned)
+            for effect in self.having(capability) if weight else ():
+                terms.append((-weight, getattr(effect, capability)(*where)))
+        factors, matrices = zip(*terms, strict=True)
+        pattern = self._stage_pattern(weights, matrices)
+        return pattern.total(factors, matrices, (1 - self.free) * self.masses)
+
+    def _stage_pattern(self, weights: tuple[float, float], matrices: Sequence[csr_array]) -> SumPattern:
+        """The pattern of M - b K - c D, found once and shared by all copies of this system."""
+        key = tuple(weight != 0 for weight in weights)
+        if key not in self.patterns or not self.patterns[key].fits(matrices):
+            self.patterns[key] = SumPattern(matrices, self.free)
+        return self.patterns[key]
+
+    def stage_band(self, weights: tuple[float, float]) -> Band | None:
+        """Where the last sparse `stage_matrix` lies in a band, if it is symmetric and the band is worth storing."""
+        pattern = self.patterns.get(tuple(weight != 0 for weight in weights))
+        used = {effect for name, w in zip(("dq", "dv"), weights, strict=True) if w for effect in self.having(name)}
+        if pattern is None or not all(getattr(effect, "symmetric", False) for effect in used):
+            return None
+        return pattern.band
 
     def stage_solve(self, w: Array) -> Array:
         """M^-1 w."""
@@ -460,6 +476,9 @@ class Flow:
         return (self.matrix(t, place[0]).T @ w,)
 
     def stage_energy(self, t: float, weights: tuple[float]) -> None:
+        return None
+
+    def stage_band(self, weights: tuple[float]) -> None:
         return None
 
 

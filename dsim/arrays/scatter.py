@@ -64,9 +64,43 @@ class ElementScatter:
     def matrix(self, values: Array) -> csr_array:
         """(E,k,d,k,d) -> CSR (n,n) with one pattern for the lifetime of this object."""
         pattern, summation = self._pattern
-        matrix = copy.copy(pattern)  # shares the indices; the constructor would check them every time
-        matrix.data = summation @ values.ravel()
-        return matrix
+        return _with_data(pattern, summation @ values.ravel())
+
+    # Elements of two points that only feel their edge x_j - x_i: one number each instead of four
+
+    def edges(self, q: Array) -> Array:
+        """(n,) -> (E,d): x_j - x_i."""
+        points = q.reshape(self.count, self.dimension)
+        edge: Array = points.take(self.elements[:, 1], 0) - points.take(self.elements[:, 0], 0)
+        return edge
+
+    @cached_property
+    def _ends(self) -> csr_array:
+        """(n, E d): -1 at i, +1 at j."""
+        matrix = _summation(self.dofs.ravel(), self.size)  # columns (e, end, axis)
+        ends, axes = np.divmod(matrix.indices % self.dofs.shape[1], self.dimension)
+        matrix.data = 2.0 * ends - 1.0
+        columns = matrix.indices // self.dofs.shape[1] * self.dimension + axes
+        return _resized(matrix, columns, len(self.elements) * self.dimension)
+
+    def edge_vector(self, values: Array) -> Array:
+        """(E,d) -> (n,): minus at i, plus at j; `vector` of both ends."""
+        total: Array = self._ends @ values.ravel()
+        return total
+
+    @cached_property
+    def _edge_summation(self) -> csr_array:
+        _, summation = self._pattern
+        d, width = self.dimension, self.dofs.shape[1]
+        element, place = np.divmod(summation.indices, width * width)
+        (end, row), (other, column) = (np.divmod(axis, d) for axis in np.divmod(place, width))
+        matrix = copy.copy(summation)
+        matrix.data = np.where(end == other, 1.0, -1.0)
+        return _resized(matrix, (element * d + row) * d + column, len(self.elements) * d * d)
+
+    def edge_matrix(self, blocks: Array) -> csr_array:
+        """(E,d,d) -> CSR (n,n), the blocks [[B,-B],[-B,B]]; `matrix` of both ends, in its pattern."""
+        return _with_data(self._pattern[0], self._edge_summation @ blocks.ravel())
 
     def mixed(self, values: Array) -> csr_array:
         """(E,k,d,p) -> CSR (n, p E): parameter a of element e is column a E + e (fields lie one after another)."""
@@ -78,6 +112,19 @@ class ElementScatter:
         columns = np.broadcast_to(columns, rows.shape)
         shape = (self.size, fields * count)
         return csr_array((values.ravel(), (rows.ravel(), columns.ravel())), shape=shape)
+
+
+def _with_data(pattern: csr_array, data: Array) -> csr_array:
+    matrix = copy.copy(pattern)  # shares the indices; the constructor would check them every time
+    matrix.data = data
+    return matrix
+
+
+def _resized(matrix: csr_array, columns: NDArray[np.int64], width: int) -> csr_array:
+    """The matrix with its entries moved to other columns."""
+    from scipy.sparse import csr_array
+
+    return csr_array((matrix.data, columns.astype(np.int32), matrix.indptr), shape=(matrix.shape[0], width))
 
 
 def _summation(slots: NDArray[np.int64], size: int) -> csr_array:

@@ -11,7 +11,7 @@ from dsim.arrays.checks import Array, Numbers, as_nonnegative, as_pairs, check_i
 from dsim.arrays.frozen import replace
 from dsim.arrays.scatter import ElementScatter
 from dsim.effects.rows import SpringRows
-from dsim.kernels.spring import SPRING, both_ends, directions, slackness
+from dsim.kernels.spring import SPRING, directions, edge_hessian, slackness, tension
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
@@ -47,17 +47,21 @@ class Springs:
         assert self.scatter is not None
         return self.scatter, self.scatter.gather(q), np.stack([self.rest_length, self.stiffness], axis=1)
 
+    def _edges(self, q: Array) -> tuple[ElementScatter, Array, Array]:
+        assert self.scatter is not None
+        return self.scatter, self.scatter.edges(q), np.stack([self.rest_length, self.stiffness])
+
     def force(self, t: float, q: Array, v: Array) -> Array:
-        scatter, x, theta = self._elements(q)
-        return -scatter.vector(SPRING.gradient(x, theta))
+        scatter, edge, theta = self._edges(q)
+        return -scatter.edge_vector(tension(edge, theta))
 
     def energy(self, t: float, q: Array) -> float:
         _, x, theta = self._elements(q)
         return float(SPRING.energy(x, theta).sum())
 
     def dq(self, t: float, q: Array, v: Array) -> csr_array:
-        scatter, x, theta = self._elements(q)
-        return scatter.matrix(-SPRING.hessian(x, theta))
+        scatter, edge, theta = self._edges(q)
+        return scatter.edge_matrix(-edge_hessian(edge, theta))
 
     def dtheta(self, t: float, q: Array, v: Array) -> csr_array:
         scatter, x, theta = self._elements(q)
@@ -65,15 +69,14 @@ class Springs:
 
     def vjp(self, t: float, q: Array, v: Array, w: Array) -> tuple[Array, float, Array]:
         """Per spring: H u = k [ (1 - l0/l) u + l0/l n (n.u) ] with u = w_j - w_i, no matrix."""
-        scatter, x, _ = self._elements(q)
-        length, n = directions(x[:, 1] - x[:, 0])
-        ends = scatter.gather(w)
-        u = ends[:, 1] - ends[:, 0]
+        scatter, edge, _ = self._edges(q)
+        length, n = directions(edge)
+        u = scatter.edges(w)
         along = np.einsum("ed,ed->e", n, u)
         slack = slackness(length, self.rest_length)
         push = (self.stiffness * (1 - slack))[:, None] * u + (self.stiffness * slack * along)[:, None] * n
         theta = np.concatenate([self.stiffness * along, -(length - self.rest_length) * along])
-        return -scatter.vector(both_ends(push)), 0.0, theta
+        return -scatter.edge_vector(push), 0.0, theta
 
 
 def per_element(label: str, value: Array, count: int) -> Array:

@@ -46,27 +46,33 @@ def energy(x: Array, theta: Array) -> Array:
     return value
 
 
+def tension(edge: Array, theta: Array) -> Array:
+    """k (l - l0) n, the gradient by the edge (E,d) -> (E,d) N.  theta (2,E): rest lengths and stiffnesses."""
+    length, n = directions(edge)
+    rest, stiffness = theta
+    pull: Array = (stiffness * (length - rest))[:, None] * n
+    return pull
+
+
 def gradient(x: Array, theta: Array) -> Array:
     """dU/dx = k (l - l0) n at j, the opposite at i -> (E,2,d) N."""
-    length, n = directions(x[:, 1] - x[:, 0])
-    rest, stiffness = theta.T
-    return both_ends((stiffness * (length - rest))[:, None] * n)
+    return both_ends(tension(x[:, 1] - x[:, 0], theta.T))
 
 
 def edge_hessian(edge: Array, theta: Array) -> Array:
-    """k [ (1 - l0/l) I + l0/l n n^T ], the form without a cancelling difference -> (E,d,d) N/m."""
+    """k [ (1 - l0/l) I + l0/l n n^T ], the form without a cancelling difference -> (E,d,d) N/m.  theta (2,E)."""
     length, n = directions(edge)
-    rest, stiffness = theta.T
+    rest, stiffness = theta
     slack = slackness(length, rest)
-    identity = np.eye(edge.shape[1])
-    along = n[:, :, None] * n[:, None, :]
-    block: Array = (stiffness * (1 - slack))[:, None, None] * identity + (stiffness * slack)[:, None, None] * along
+    block: Array = ((stiffness * slack)[:, None] * n)[:, :, None] * n[:, None, :]
+    diagonal = np.arange(edge.shape[1])
+    block[:, diagonal, diagonal] += (stiffness * (1 - slack))[:, None]
     return block
 
 
 def hessian(x: Array, theta: Array) -> Array:
     """d2U/dx2 -> (E,2,d,2,d) N/m.  Indefinite where a spring is compressed: exact, never projected."""
-    return both_pairs(edge_hessian(x[:, 1] - x[:, 0], theta))
+    return both_pairs(edge_hessian(x[:, 1] - x[:, 0], theta.T))
 
 
 def mixed(x: Array, theta: Array) -> Array:

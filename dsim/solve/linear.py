@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
 from dsim.arrays.checks import Array
+from dsim.solve.band import Band, BandFactor, NotDefiniteError
+from dsim.solve.band import SingularMatrixError as SingularMatrixError
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
@@ -15,10 +18,6 @@ Matrix = Any  # ndarray or csr_array
 
 # Below this size a dense LU beats the sparse one, index work included.
 DENSE_SIZE = 128
-
-
-class SingularMatrixError(ArithmeticError):
-    """The matrix has no inverse to working precision."""
 
 
 class Factor(Protocol):
@@ -88,13 +87,52 @@ class SparseFactor:
         return x
 
 
-def factorize(matrix: Matrix) -> Factor:
-    """Factorize a square matrix, dense or sparse.  Raises SingularMatrixError."""
+def factorize(matrix: Matrix, band: Band | None = None) -> Factor:
+    """Factorize a square matrix, dense or sparse; one with a band by Cholesky, by LU where it is not definite.
+
+    Raises SingularMatrixError.
+    """
+    if band is not None and not isinstance(matrix, np.ndarray):
+        try:
+            return band.factorize(matrix.data)
+        except NotDefiniteError:
+            return band.factorize_general(matrix.data)
     if isinstance(matrix, np.ndarray):
         return DenseFactor(matrix)
     if matrix.shape[0] <= DENSE_SIZE:
         return DenseFactor(matrix.toarray())
     return SparseFactor(matrix)
+
+
+POLISH = 1e-11  # relative residual of a solution found with another matrix's factor
+_MOST = 12  # conjugate-gradient iterations after which a new factor is cheaper
+
+
+@dataclass(eq=False)
+class Polished:
+    """Solutions with a symmetric matrix, by conjugate gradients preconditioned with the factor of one close by.
+
+    The factor guides, the matrix decides: |A x - b| <= tol |b|, or the matrix is factorized after all.
+    """
+
+    matrix: csr_array
+    band: Band
+    near: BandFactor
+    tol: float = POLISH
+    anew: Factor | None = None  # the factor made where the one close by did not serve
+
+    def solve(self, b: Array) -> Array:
+        """A^-1 b."""
+        from scipy.sparse.linalg import LinearOperator, cg
+
+        guide = LinearOperator(self.matrix.shape, matvec=self.near.solve, dtype=float)
+        x: Array = cg(self.matrix, b, rtol=0.1 * self.tol, maxiter=_MOST, M=guide)[0]
+        if np.linalg.norm(self.matrix @ x - b) <= self.tol * np.linalg.norm(b):
+            return x
+        self.anew = factorize(self.matrix, self.band)
+        return self.anew.solve(b)
+
+    solve_transposed = solve
 
 
 def make_definite(matrix: Matrix) -> Matrix:

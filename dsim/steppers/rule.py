@@ -24,9 +24,11 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from dsim.arrays.checks import Array, as_positive
-from dsim.solve.linear import Factor, factorize
-from dsim.solve.newton import NewtonResult, Status, newton
+from dsim.solve.band import BandFactor
+from dsim.solve.linear import Factor, Polished, factorize
+from dsim.solve.newton import Status
 from dsim.steppers.definition import jacobians
+from dsim.steppers.stage import StageProblem
 from dsim.steppers.stepper import Counters, Ode, Step, check_state
 from dsim.steppers.tableau import Stage, Symbol, Tableau, combine, eliminate, record, self_weights
 
@@ -67,13 +69,11 @@ class RuleStepper:
         _check_form(self, system)
         y0 = check_state(y0, system.size, self.history)
         system = system.at(t, y0[: system.size], h)
-        states = _states(system, y0)
         if self.implicit:
-            y1, rates, status, counters = _implicit(self, system, t, states, h)
-        else:
-            y1, rates = _explicit(self.rule, self.form, system, t, states, h)
-            status = Status.CONVERGED if np.isfinite(y1).all() else Status.NOT_FINITE
-            counters = Counters(forces=len(rates))
+            return _implicit(self, system, t, y0, h)
+        y1, rates = _explicit(self.rule, self.form, system, t, _states(system, y0), h)
+        status = Status.CONVERGED if np.isfinite(y1).all() else Status.NOT_FINITE
+        counters = Counters(forces=len(rates))
         return Step(t, h, y0, _with_history(y1, y0, self.history), status, counters, tuple(rates))
 
     def residual(self, system: Ode, step: Step) -> Array:
@@ -168,19 +168,20 @@ def _arguments(stage: Stage, values: Values, n: int) -> tuple[Array, ...]:
     return tuple(np.zeros(n) + combine(part, values) for part in stage.arguments)
 
 
-def _implicit(
-    stepper: Any, system: Ode, t: float, states: Mapping[int, Array], h: float
-) -> tuple[Array, list[Array], Status, Counters]:
+def _implicit(stepper: Any, system: Ode, t: float, y0: Array, h: float) -> Step:
     """Stage after stage: evaluated where explicit, solved by Newton where it depends on its own rate."""
     tableau = _tableau(stepper.rule, stepper.form, system.components, h, True)
-    values, counters = _values(system, states), Counters()
+    values, counters = _values(system, _states(system, y0)), Counters()
     rates: list[Array] = []
+    factors: dict[int, BandFactor | None] = {}
     status = Status.CONVERGED
     for number, stage in enumerate(tableau.stages):
         place, weights = _arguments(stage, values, system.n), self_weights(stage, number)
         if any(weights):
-            result = _solve_stage(stepper, system, t + stage.offset, place, weights)
-            k, status, counters = result.z, result.status, counters + _cost(result)
+            problem = StageProblem(system, t + stage.offset, place, weights)
+            result, cost = problem.solve(stepper)
+            k, status, counters = result.z, result.status, counters + cost
+            factors[number] = problem.factor
         else:
             k, counters = system.rate(t + stage.offset, *place), counters + Counters(forces=1)
         rates.append(k)
@@ -190,41 +191,7 @@ def _implicit(
     y1 = np.concatenate([np.zeros(system.n) + combine(part, values) for part in tableau.outcome])
     if not np.isfinite(y1).all():
         status = Status.NOT_FINITE
-    return y1, rates, status, counters
-
-
-def _solve_stage(
-    stepper: Any, system: Any, t: float, base: tuple[Array, ...], weights: tuple[float, ...]
-) -> NewtonResult:
-    """k with  M k = f(t, base + weights k).  The guess k = 0 is the step of a free flight."""
-
-    def place(k: Array) -> tuple[Array, ...]:
-        return tuple(b + w * k for b, w in zip(base, weights, strict=True))
-
-    def size(dk: Array, k: Array) -> float:
-        gamma, largest = weights[-1], np.abs(place(k)[-1]).max()
-        moved = abs(gamma) * np.abs(dk).max()
-        rounding = 0.0
-        if len(base) == 2:  # velocities below the round-off of positions, eps |q| / gamma
-            rounding = 4 * np.finfo(float).eps * np.abs(base[0]).max() / abs(gamma)
-        return 0.0 if moved <= rounding else float(moved / max(largest, np.finfo(float).tiny))
-
-    descent = system.stage_energy(t, weights) if stepper.globalize == "energy" else None
-    globalize: Any = (lambda k: descent(k, place(k)[0])) if descent else stepper.globalize
-    return newton(
-        lambda k: system.stage_residual(k, t, *place(k)),
-        lambda k: system.stage_matrix(t, place(k), weights),
-        np.zeros(system.n),
-        tol=stepper.tol,
-        globalize="line_search" if globalize == "energy" else globalize,
-        max_iterations=stepper.max_iterations,
-        size=size,
-    )
-
-
-def _cost(result: NewtonResult) -> Counters:
-    n = result.iterations
-    return Counters(result.evaluations, n, n, n, n)
+    return Step(t, h, y0, _with_history(y1, y0, stepper.history), status, counters, tuple(rates), factors)
 
 
 class RuleLinearization:
@@ -262,12 +229,17 @@ class RuleLinearization:
         return _arguments(stage, self.values, self.system.n)
 
     def _factor(self, number: int) -> Factor:
-        """The stage matrix, factorized once for tangents and pullbacks alike."""
+        """Solves with the stage matrix: factorized once for both directions, or from the factor the step kept."""
         if number not in self._factors:
             stage = self.tableau.stages[number]
-            place, time = self._place(stage), self.step.t + stage.offset
             ode: Any = self.system
-            self._factors[number] = factorize(ode.stage_matrix(time, place, self_weights(stage, number)))
+            weights = self_weights(stage, number)
+            matrix = ode.stage_matrix(self.step.t + stage.offset, self._place(stage), weights)
+            band, kept = ode.stage_band(weights), (self.step.factors or {}).get(number)
+            if band is not None and kept is not None:
+                self._factors[number] = Polished(matrix, band, kept)
+            else:
+                self._factors[number] = factorize(matrix, band)
         return self._factors[number]
 
     def tangent(self, dy0: Array, dtheta: Array) -> Array:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, Protocol
 
@@ -14,7 +15,11 @@ from dsim.system import Flow, System
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
+    from dsim.solve.band import BandFactor
+
 Ode = System | Flow
+
+FACTOR_BYTES = 2**30  # keep="factors": steps beyond this budget are factorized again on the way back
 
 
 @dataclass(frozen=True)
@@ -37,7 +42,8 @@ class Step:
 
     y0, y1: the states before and after, with the history that a multistep method carries.
     unknowns: what the residual was solved for, here y1.  rates (S,n): k of every stage, or None after
-    loading, when `linearize` evaluates them again.
+    loading, when `linearize` evaluates them again.  factors: of stages whose matrix lies in a band, the factor of
+    an iterate near the solution, for `linearize` to start from.
     """
 
     t: float
@@ -47,10 +53,16 @@ class Step:
     status: Status = Status.CONVERGED
     counters: Counters = Counters()
     rates: tuple[Array, ...] | None = None
+    factors: Mapping[int, BandFactor | None] | None = None
 
     @property
     def unknowns(self) -> Array:
         return self.y1
+
+    @property
+    def factor_bytes(self) -> int:
+        """Memory of the factors."""
+        return sum(factor.nbytes for factor in (self.factors or {}).values() if factor is not None)
 
 
 class Linearization(Protocol):
