@@ -59,6 +59,11 @@ class Trajectory:
         return self.run.public_states()
 
     @property
+    def last(self) -> Array:
+        """The last state y_N (ny,), without making rows of the others."""
+        return self.run.last() if self.states is None and self.run is not None else self.y[-1]
+
+    @property
     def n(self) -> int:
         if self.system is None:
             return self.y.shape[1] // 2

@@ -26,22 +26,26 @@ class Gradient:
 
 
 def adjoint(trajectory: Trajectory, dJdy: Any) -> Gradient:
-    """The gradient of J(y_0, ..., y_N) from dJdy (N+1,ny), its derivative by every state.
+    """The gradient of J(y_0, ..., y_N) from dJdy (N+1,ny), its derivative by every state; (ny,) for J(y_N).
 
     mu_N = dJ/dy_N, then backward  mu_n = dJ/dy_n + (dy_{n+1}/dy_n)^T mu_{n+1}: the cost does not depend on the
     number of parameters.  Raises ValueError on a wrong shape or a trajectory without its system.
     """
     stepper, system = trajectory.attached()
-    dJdy = as_array("dJdy", dJdy, (len(trajectory.t), system.size))
+    steps = len(trajectory.t) - 1
+    final = np.ndim(dJdy) == 1
+    dJdy = as_array("dJdy", dJdy, (system.size,) if final else (steps + 1, system.size))
+    by_first = dJdy if final and steps == 0 else 0.0 if final else dJdy[0]
     if trajectory.run is not None:
         with np.errstate(divide="ignore"):  # 1/l of coincident ends, set to 0 by the springs
             mu, theta_bar = trajectory.run.pull(dJdy)
-        return Gradient(mu + dJdy[0], theta_bar, system.split(theta_bar))
+        return Gradient(mu + by_first, theta_bar, system.split(theta_bar))
     mu = np.zeros(stepper.history * system.size)
     theta_bar = np.zeros(system.parameter_count)
-    for n in range(len(trajectory.t) - 2, -1, -1):
-        mu[: system.size] += dJdy[n + 1]
+    for n in range(steps - 1, -1, -1):
+        if not final or n == steps - 1:
+            mu[: system.size] += dJdy if final else dJdy[n + 1]
         mu = stepper.linearize(system, trajectory.step(n)).pullback(mu, theta_bar)
     if stepper.history > 1:
         mu = stepper.linearize(system, trajectory.start()).pullback(mu, theta_bar)
-    return Gradient(mu + dJdy[0], theta_bar, system.split(theta_bar))
+    return Gradient(mu + by_first, theta_bar, system.split(theta_bar))

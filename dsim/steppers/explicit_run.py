@@ -7,6 +7,7 @@ forces; no Step objects, no patterns, no matrices.  Tests hold states and gradie
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -30,6 +31,18 @@ def applies(stepper: Any, system: Any) -> bool:
     return explicit and isinstance(system, System) and not any(hasattr(e, "at") for e in system.effects)
 
 
+class Tape:
+    """What the way back needs of every stage, in a few large blocks: its rate and what the effects saved."""
+
+    def __init__(self, steps: int, stages: int, shape: tuple[int, int], rows: list[Rows]) -> None:
+        self.rates = np.empty((steps, stages, *shape))
+        self._saved = [[np.empty((steps, stages, *own)) for own in effect.saves] for effect in rows]
+
+    def at(self, n: int, stage: int) -> tuple[Array, Saved]:
+        """Views: the rate (d,N) and, an effect, its arrays."""
+        return self.rates[n, stage], [tuple(block[n, stage] for block in blocks) for blocks in self._saved]
+
+
 @dataclass(eq=False)
 class ExplicitRun:
     """Forces bound to rows.  `evaluate` fills states; `pull` carries a gradient back over them."""
@@ -37,8 +50,7 @@ class ExplicitRun:
     stepper: Any  # an explicit one-step RuleStepper
     system: Any  # a System; see `applies`
     h: float
-    tape: list[list[tuple[Array, Saved]]] | None = None  # a step -> a stage -> its rate and what the effects saved
-    stages: int = field(init=False, default=0)  # rates a step
+    tape: Tape | None = None
     states: Array = field(init=False, repr=False)  # (N+1,2,d,N), the velocity of pinned points 0
     y0: Array = field(init=False, repr=False)  # as it was given
     evaluations: int = field(init=False, default=0)  # of the rate
@@ -49,45 +61,51 @@ class ExplicitRun:
         self.shape = (system.dimension, len(system.mass))
         self._rows = [rows_of(effect) for effect in system.effects]
         self._scale = (system.free / system.masses).reshape(self.shape[::-1]).T.copy()  # M^-1, 0 at pins
-        self._scratch = self._fresh()
+        scratch = self._tape(1)
+        self._scratch = [scratch.at(0, s) for s in range(self.stages)]
 
-    @property
+    @cached_property
     def tableau(self) -> Tableau:
         return tableau_of(self.stepper.rule, self.stepper.form, 2, self.h)
+
+    @property
+    def stages(self) -> int:
+        """Rates a step."""
+        return len(self.tableau.stages)
 
     def tape_bytes(self, steps: int) -> int:
         """Size of the tape of so many steps."""
         numbers = sum(int(np.prod(shape)) for rows in self._rows for shape in rows.saves)
-        return 8 * steps * len(self.tableau.stages) * (numbers + self.shape[0] * self.shape[1])
+        return 8 * steps * self.stages * (numbers + self.shape[0] * self.shape[1])
 
-    def _fresh(self) -> Saved:
-        return [tuple(np.empty(shape) for shape in rows.saves) for rows in self._rows]
+    def _tape(self, steps: int) -> Tape:
+        return Tape(steps, self.stages, self.shape, self._rows)
 
-    def rate(self, t: float, x: Array, v: Array, saved: Saved) -> Array:
-        """M^-1 f on rows."""
+    def rate(self, t: float, place: tuple[Array, Array], out: Array, saved: Saved) -> Array:
+        """out = M^-1 f on rows."""
         self.evaluations += 1
-        force = np.zeros(self.shape)
+        out.fill(0.0)
         for rows, kept in zip(self._rows, saved, strict=True):
-            rows.add_force(t, x, v, force, kept)
-        force *= self._scale
-        return force
+            rows.add_force(t, *place, out, kept)
+        out *= self._scale
+        return out
 
     def evaluate(self, y0: Array, steps: int, keep_tape: bool) -> int:
         """Take up to `steps` steps; the number of those that stayed finite."""
-        self.tape = [] if keep_tape and self.tape_bytes(steps) <= TAPE_BYTES else None
+        self.tape = self._tape(steps) if keep_tape and self.tape_bytes(steps) <= TAPE_BYTES else None
         self.y0 = y0
         self.states = np.empty((steps + 1, 2, *self.shape))
         self.states[0] = y0.reshape(2, *self.shape[::-1]).transpose(0, 2, 1)
         self.states[0, 1] *= self._scale != 0  # pinned points have no velocity
-        n, done = 0, True
-        while n < steps and done:
-            self._advance(n * self.h, self.states[n], self.states[n + 1])
-            n += 1
-            if n == 1:
-                self.stages = self.evaluations
-            done = n % _CHECKED != 0 or bool(np.isfinite(self.states[n]).all())
-        finite: Any = np.isfinite(self.states[1 : n + 1]).all(axis=(1, 2, 3))
-        good = n if finite.all() else int(finite.argmin())
+        good = steps
+        for n in range(steps):
+            self._advance(n)
+            if (n + 1) % _CHECKED == 0 or n + 1 == steps:
+                # q_{n+1} = q_n + ... and dq/dt = v: what is not finite once stays so
+                if not np.isfinite(self.states[n + 1]).all():
+                    finite: Any = np.isfinite(self.states[1 : n + 2]).all(axis=(1, 2, 3))
+                    good = int(finite.argmin())
+                    break
         self.states = self.states[: good + 1]
         return good
 
@@ -97,51 +115,53 @@ class ExplicitRun:
         y[0] = self.y0
         return y
 
-    def _advance(self, t: float, z: Array, new: Array) -> None:
-        stages: list[tuple[Array, Saved]] = []
+    def last(self) -> Array:
+        """The last row of `public_states`."""
+        return self.states[-1].transpose(0, 2, 1).ravel() if len(self.states) > 1 else self.y0
+
+    def _advance(self, n: int) -> None:
+        t, z, new = n * self.h, self.states[n], self.states[n + 1]
+        slots = iter(self._scratch if self.tape is None else [self.tape.at(n, s) for s in range(self.stages)])
 
         def rate(t: float, x: Array, v: Array) -> Array:
-            saved = self._scratch if self.tape is None else self._fresh()
-            k = self.rate(t, x, v, saved)
-            if self.tape is not None:
-                stages.append((k, saved))
-            return k
+            return self.rate(t, (x, v), *next(slots))
 
         if self.stepper.form == 2:
             new[0], new[1] = self.stepper.rule({0: z[0]}, {0: z[1]}, rate, t, self.h)
         else:
             new[:] = self.stepper.rule({0: z}, lambda t, y: np.stack([y[1], rate(t, *y)]), t, self.h)
-        if self.tape is not None:
-            self.tape.append(stages)
 
     # The way back
 
     def pull(self, dJdy: Array) -> tuple[Array, Array]:
-        """(dJ/dy0 without dJdy[0], dJ/dtheta) over all steps."""
+        """(dJ/dy0 without dJdy[0], dJ/dtheta) over all steps; dJdy (N+1,2n), or (2n,) for the last state alone."""
         system, steps = self.system, len(self.states) - 1
         theta_bar = np.zeros(system.parameter_count)
         views = [[theta_bar[p.place].reshape(p.shape) for p in parameters] for parameters in system.layout]
         inertia = np.zeros(self.shape)  # k . w, summed over the steps
-        loads = dJdy.reshape(steps + 1, 2, *self.shape[::-1]).transpose(0, 1, 3, 2)
+        loads = dJdy.reshape(-1, 2, *self.shape[::-1]).transpose(0, 1, 3, 2)
+        scratch = self._tape(1) if self.tape is None else None
         mu: Any = tuple(np.zeros((2, *self.shape)))
         for n in range(steps - 1, -1, -1):
-            if dJdy[n + 1].any():
-                mu = tuple(bar + load for bar, load in zip(mu, loads[n + 1], strict=True))
-            mu = self._pull_step(n, self.states[n], mu, (views, inertia))
+            load = loads[n + 1] if dJdy.ndim == 2 else loads[0]
+            if (dJdy.ndim == 2 or n == steps - 1) and load.any():
+                mu = (mu[0] + load[0], mu[1] + load[1])
+            mu = self._pull_step(n, mu, (views, inertia), scratch)
         theta_bar[: len(system.mass)] -= inertia.sum(axis=0)
         by_q, by_v = mu[0], mu[1] * (self._scale != 0)
         return np.concatenate([by_q.T.ravel(), by_v.T.ravel()]), theta_bar
 
-    def _pull_step(self, n: int, z: Array, mu: Any, sums: tuple[Any, Array]) -> Any:
+    def _pull_step(self, n: int, mu: Any, sums: tuple[Any, Array], scratch: Tape | None) -> Any:
         views, inertia = sums
         tableau, t = self.tableau, n * self.h
-        values: dict[Symbol, Array] = {("y", 0, 0): z[0], ("y", 0, 1): z[1]}
-        places, saved = self._stages(n, values)
+        values: dict[Symbol, Array] = {("y", 0, 0): self.states[n, 0], ("y", 0, 1): self.states[n, 1]}
+        places, saved = self._stages(n, values, scratch)
         bars: dict[Symbol, Array] = {}
         for part, bar in zip(tableau.outcome, mu, strict=True):
             _spread(bars, part, bar)
         for symbol in (("y", 0, 0), ("y", 0, 1)):
-            bars.setdefault(symbol, np.zeros(self.shape))
+            if symbol not in bars:
+                bars[symbol] = np.zeros(self.shape)
         for s in range(len(tableau.stages) - 1, -1, -1):
             stage, symbol = tableau.stages[s], ("k", s, 0)
             if symbol not in bars:
@@ -149,28 +169,36 @@ class ExplicitRun:
             w = bars[symbol]
             w *= self._scale
             inertia += values[symbol] * w
-            pulled = np.zeros((2, *self.shape))
+            pulled = [_target(bars, part, self.shape) for part in stage.arguments]
             for rows, kept, own in zip(self._rows, saved[s], views, strict=True):
                 rows.add_vjp(t + stage.offset, places[s], w, (*pulled, *own), kept)
             for part, bar in zip(stage.arguments, pulled, strict=True):
-                _spread(bars, part, bar)
+                if not any(bar is own for own in bars.values()):
+                    _spread(bars, part, bar)
         return bars["y", 0, 0], bars["y", 0, 1]
 
-    def _stages(self, n: int, values: dict[Symbol, Array]) -> tuple[list[Any], list[Saved]]:
+    def _stages(self, n: int, values: dict[Symbol, Array], scratch: Tape | None) -> tuple[list[Any], list[Saved]]:
         """Where each stage stood and what its effects saved: from the tape, or evaluated again."""
         places: list[Any] = []
         saved: list[Saved] = []
         for s, stage in enumerate(self.tableau.stages):
-            x, v = (_value(part, values) for part in stage.arguments)
-            if self.tape is not None:
-                k, kept = self.tape[n][s]
-            else:
-                kept = self._fresh()
-                k = self.rate(n * self.h + stage.offset, x, v, kept)
+            place = (_value(stage.arguments[0], values), _value(stage.arguments[1], values))
+            k, kept = self.tape.at(n, s) if scratch is None else scratch.at(0, s)  # type: ignore[union-attr]
+            if scratch is not None:
+                self.rate(n * self.h + stage.offset, place, k, kept)
             values["k", s, 0] = k
-            places.append((x, v))
+            places.append(place)
             saved.append(kept)
         return places, saved
+
+
+def _target(bars: dict[Symbol, Array], part: Any, shape: tuple[int, int]) -> Array:
+    """Where a stage argument's bar is summed: in the bar of its symbol, where it is one, else in zeros."""
+    if len(part) == 1:
+        ((symbol, coefficient),) = part.items()
+        if coefficient == 1.0 and symbol in bars:
+            return bars[symbol]
+    return np.zeros(shape)
 
 
 def _value(part: Any, values: dict[Symbol, Array]) -> Array:
