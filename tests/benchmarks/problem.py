@@ -37,6 +37,20 @@ def cloth(n: int, steps: int = 200, stiffness: float = 500.0, h: float = 1e-3) -
     }
 
 
+def implicit_cloth(n: int, steps: int = 10) -> dict[str, Any]:
+    """The same cloth, too stiff for an explicit method: k h^2 / m is about 1e3.
+
+    Springs so stiff buckle under a strain of m / (k h^2): then backward Euler has several solutions, and Newton's
+    matrix is indefinite.  So the start is perturbed by strains of about 1e-5, whatever n: the matrix stays definite.
+    """
+    problem = cloth(n, steps, stiffness=1e5, h=1e-2)
+    rng = np.random.default_rng(n)
+    flat = np.round(problem["q0"] * (n - 1)) / (n - 1)  # the grid before `cloth` perturbed it
+    problem["q0"] = flat + 1e-5 * rng.normal(size=flat.shape) / n
+    problem["v0"] = 1e-3 * rng.normal(size=flat.shape) / n
+    return problem
+
+
 def dsim_system(problem: dict[str, Any]) -> Any:
     """The same cloth for dsim."""
     from dsim import System
