@@ -7,7 +7,7 @@ matrices (E,k,d,k,d) into the data of one fixed CSR pattern: assembly is a spars
 from __future__ import annotations
 
 import copy
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -138,10 +138,15 @@ def _summation(slots: NDArray[np.int64], size: int) -> csr_array:
 
 def diagonal(values: Array) -> csr_array:
     """(n,) -> CSR (n,n)."""
+    return _with_data(_identity(len(values)), values)
+
+
+@lru_cache(maxsize=16)
+def _identity(n: int) -> csr_array:
     from scipy.sparse import csr_array
 
-    n = len(values)
-    return csr_array((values, np.arange(n), np.arange(n + 1)), shape=(n, n))
+    places = np.arange(n + 1, dtype=np.int32)
+    return csr_array((np.ones(n), places[:-1], places), shape=(n, n))
 
 
 def block_diagonal(blocks: Array) -> csr_array:

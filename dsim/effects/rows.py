@@ -81,7 +81,7 @@ class SpringRows:
 
     def __init__(self, pairs: NDArray[np.int64], rest: Array, stiffness: Array, shape: tuple[int, int]) -> None:
         d, points = shape
-        self.rest, self.stiffness = rest, stiffness
+        self.rest, self.stiffness, self.preload = rest, stiffness, stiffness * rest
         self.behind, self.ahead = (np.ascontiguousarray(column) for column in pairs.T)
         self.ends = self._incidence(d, points, len(pairs))
         self.saves = ((d, len(pairs)), (len(pairs),))
@@ -107,15 +107,13 @@ class SpringRows:
     def add_force(self, t: float, x: Array, v: Array, out: Array, saved: tuple[Array, ...]) -> None:
         edge, inverse = saved
         self._edges(x, edge)
-        np.multiply(edge, edge, out=self.work)
-        np.add.reduce(self.work, axis=0, out=inverse)
+        np.einsum("de,de->e", edge, edge, out=inverse)
         np.sqrt(inverse, out=inverse)
         np.divide(1.0, inverse, out=inverse)
         if inverse.max(initial=0.0) == np.inf:  # coincident ends have no direction
             inverse[inverse == np.inf] = 0.0
-        np.multiply(self.rest, inverse, out=self.scale)
-        np.subtract(1.0, self.scale, out=self.scale)
-        np.multiply(self.stiffness, self.scale, out=self.scale)
+        np.multiply(self.preload, inverse, out=self.scale)
+        np.subtract(self.stiffness, self.scale, out=self.scale)  # k (1 - l0/l)
         np.multiply(edge, self.scale, out=self.work)
         out += (self.ends @ self.work.reshape(-1)).reshape(out.shape)
 
@@ -123,8 +121,7 @@ class SpringRows:
         (edge, inverse), (x_bar, _, rest, stiffness) = saved, bars
         u, scale = self.work, self.scale
         self._edges(w, u)
-        np.multiply(edge, u, out=self.other)
-        dot = np.add.reduce(self.other, axis=0)  # e.u
+        dot = np.einsum("de,de->e", edge, u)  # e.u
         slack = self.rest * inverse
         along = self.stiffness * dot
         along *= inverse

@@ -5,20 +5,17 @@ One row a comparison, with the largest relative difference; the exit code is 1 i
 
 from __future__ import annotations
 
-import importlib
 import sys
-from collections.abc import Callable
-from importlib.util import find_spec
 from typing import Any
 
-import explicit  # first: it sets threads and paths
-import numpy as np
+import explicit
+import measure  # sets threads and paths
 import problem as problems
 
 TOLERANCE = 1e-10  # implicit runs reach it too: the last Newton correction is 1e-10, the error after it smaller
 
-EXPLICIT = {"jax_cloth": "jax", "taichi_cloth": "taichi", "warp_cloth": "warp"}  # peer: the package it needs
-IMPLICIT = {"jax_implicit": "jax", "cholmod_cloth": "cvxopt"}
+EXPLICIT = ("jax_cloth", "taichi_cloth", "taichi_fused", "warp_cloth")
+IMPLICIT = ("jax_implicit", "cholmod_cloth")
 
 
 def implicit(problem: dict[str, Any]) -> Any:
@@ -27,28 +24,20 @@ def implicit(problem: dict[str, Any]) -> Any:
     from dsim.steppers import BackwardEuler
 
     system, y0 = problems.dsim_system(problem), problems.dsim_state(problem)
-    return simulate(BackwardEuler(), system, y0, problem["h"], problem["steps"]).y[-1].reshape(2, -1, 3)
+    return simulate(BackwardEuler(), system, y0, problem["h"], problem["steps"]).last.reshape(2, -1, 3)
 
 
-def difference(mine: Any, theirs: Any) -> float:
-    """Largest relative difference, NaN if anything is."""
-    return float(np.max([explicit.agree([a], [b]) for a, b in zip(mine, theirs, strict=True)]))
-
-
-def compare(n: int, peers: dict[str, str], problem: dict[str, Any], mine: dict[str, Any]) -> bool:
+def compare(peers: tuple[str, ...], problem: dict[str, Any], mine: dict[str, Any]) -> bool:
     """Print the rows of these peers; mine: name of a result -> dsim's.  True if all of them agree."""
     passed = True
-    for peer, package in peers.items():
-        if find_spec(package) is None:
-            print(f"n={n:3d} {peer:14s} skipped: not installed ({package})", flush=True)
-            continue
-        made = importlib.import_module(peer).make(problem)
-        functions: tuple[Callable[..., Any], ...] = made if isinstance(made, tuple) else (made,)
-        for (name, expected), function in zip(mine.items(), functions, strict=True):
-            found = difference(expected, function(problem["stiffness"], problem["v0"]))
+    for name in peers:
+        runs = measure.peer(name, problem)
+        for (kind, expected), run in zip(mine.items(), runs or (), strict=bool(runs)):
+            found = measure.difference(expected, run())
             equal = found <= TOLERANCE
             passed &= equal
-            print(f"n={n:3d} {peer:14s} {name:8s} {found:.1e} {'' if equal else 'DIFFERS'}".rstrip(), flush=True)
+            verdict = "" if equal else "DIFFERS"
+            print(f"n={problem['n']:3d} {name:14s} {kind:8s} {found:.1e} {verdict}".rstrip(), flush=True)
     return passed
 
 
@@ -56,10 +45,10 @@ def main(sizes: list[int]) -> int:
     passed = True
     for n in sizes:
         problem = problems.cloth(n)
-        forward, gradient = explicit.ours(problem)
-        passed &= compare(n, EXPLICIT, problem, {"forward": forward(), "gradient": gradient()})
+        forward, gradient, _ = explicit.ours(problem)
+        passed &= compare(EXPLICIT, problem, {"forward": forward(), "gradient": gradient()})
         problem = problems.implicit_cloth(n)
-        passed &= compare(n, IMPLICIT, problem, {"forward": implicit(problem)})
+        passed &= compare(IMPLICIT, problem, {"forward": implicit(problem)})
     return 0 if passed else 1
 
 

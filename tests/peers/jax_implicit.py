@@ -32,8 +32,11 @@ def conjugate_gradients(product, b, precondition, tol):
     return jax.lax.while_loop(unfinished, improve, (jnp.zeros_like(b), b, z, jnp.vdot(b, z), 0))[0]
 
 
-def make(problem, tol=1e-10, linear_tol=1e-2, max_iterations=50):
-    """forward: (stiffness, v0) -> final (q, v).  tol bounds the last correction of v, relative to the largest."""
+def make(problem, tol=1e-10, linear_tol=1e-2, blocks=True, max_iterations=50):
+    """forward: (stiffness, v0) -> final (q, v).  tol bounds the last correction of v, relative to the largest.
+
+    blocks: precondition with the 3 x 3 blocks of the diagonal, or with the diagonal alone.
+    """
     i, j = jnp.asarray(problem["pairs"]).T
     rest, free = jnp.asarray(problem["rest"]), jnp.asarray(problem["free"])[:, None]
     mass, gravity, drag = problem["mass"], jnp.asarray(problem["gravity"]), problem["drag"]
@@ -46,13 +49,14 @@ def make(problem, tol=1e-10, linear_tol=1e-2, max_iterations=50):
         spring = jnp.zeros_like(q).at[i].add(pull).at[j].add(-pull)
         return spring + mass * gravity - drag * v
 
-    def block_jacobi(q, stiffness):
+    def jacobi(q, stiffness):
         edge = q[j] - q[i]
         squared = (edge * edge).sum(axis=1)[:, None, None]
         slack = rest[:, None, None] / jnp.sqrt(squared)
         along = edge[:, :, None] * edge[:, None, :] / squared
         block = stiffness[:, None, None] * ((1 - slack) * jnp.eye(3) + slack * along)
         stiff = jnp.zeros((len(q), 3, 3)).at[i].add(block).at[j].add(block)
+        stiff = stiff if blocks else stiff * jnp.eye(3)
         inverse = jnp.linalg.inv((1 + h * drag / mass) * jnp.eye(3) + h**2 / mass * stiff)
         return lambda r: jnp.einsum("nij,nj->ni", inverse, r)
 
@@ -69,7 +73,7 @@ def make(problem, tol=1e-10, linear_tol=1e-2, max_iterations=50):
         def improve(state):
             v1, _, count = state
             r, product = jax.linearize(residual, v1)
-            dv = conjugate_gradients(product, -r, block_jacobi(q + h * v1, stiffness), linear_tol)
+            dv = conjugate_gradients(product, -r, jacobi(q + h * v1, stiffness), linear_tol)
             size = jnp.abs(dv).max() / jnp.abs(v1 + dv).max()
             return v1 + dv, size, count + 1
 

@@ -1,7 +1,6 @@
-"""The benchmark's cloth in Taichi: fields over all steps, one serial kernel for the run, and that kernel's gradient.
+"""The benchmark's cloth in Taichi, as its documentation writes differentiable simulation: fields over all steps, a
+kernel a substep, the kernels' gradients in reverse.  `taichi_fused` is the same in one kernel.
 
-All steps lie in one kernel, as two hundred launches would cost more than the work.  There is no loss to evaluate:
-its weights are put where the gradient of the last state starts.
 An independent program: it shares no code with dsim, only the arrays of the problem.
 """
 
@@ -19,49 +18,49 @@ class Cloth:
         self.mass, self.drag, self.h = problem["mass"], problem["drag"], problem["h"]
         self.gravity = ti.Vector(problem["gravity"].tolist())
         states = (self.steps + 1, self.points)
-        self.q, self.v = (ti.Vector.field(3, ti.f64, shape=states, needs_grad=True) for _ in "qv")
-        self.start = ti.Vector.field(3, ti.f64, shape=self.points, needs_grad=True)
+        self.q, self.v, self.f = (ti.Vector.field(3, ti.f64, shape=states, needs_grad=True) for _ in "qvf")
         self.stiffness = ti.field(ti.f64, shape=self.springs, needs_grad=True)
         self.pairs = ti.Vector.field(2, ti.i32, shape=self.springs)
-        self.rest = ti.field(ti.f64, shape=self.springs)
-        self.free = ti.field(ti.f64, shape=self.points)
+        self.rest, self.free = ti.field(ti.f64, shape=self.springs), ti.field(ti.f64, shape=self.points)
         self.pairs.from_numpy(problem["pairs"].astype(np.int32))
         self.rest.from_numpy(problem["rest"])
         self.free.from_numpy(problem["free"])
 
     @ti.kernel
-    def begin(self, q0: vectors):
-        for p in range(self.points):
-            self.q[0, p] = q0[p]
-            self.v[0, p] = self.free[p] * self.start[p]
+    def force(self, t: ti.i32):
+        for s in range(self.springs):
+            i, j = self.pairs[s][0], self.pairs[s][1]
+            edge = self.q[t, j] - self.q[t, i]
+            pull = self.stiffness[s] * (1 - self.rest[s] / edge.norm()) * edge
+            self.f[t, i] += pull
+            self.f[t, j] += -pull
 
     @ti.kernel
-    def run(self):
-        q, v, h, mass = ti.static(self.q, self.v, self.h, self.mass)
-        ti.loop_config(serialize=True)  # no atomic additions then
-        for _ in range(1):  # the outermost loop is not reversed, those inside are
-            for t in range(self.steps):
-                for n in range(self.springs + self.points):  # springs first; with two loops the gradient is wrong
-                    if n < self.springs:
-                        i, j = self.pairs[n][0], self.pairs[n][1]
-                        edge = q[t, j] - q[t, i]
-                        push = h / mass * self.stiffness[n] * (1 - self.rest[n] / edge.norm()) * edge
-                        v[t + 1, i] += self.free[i] * push
-                        v[t + 1, j] -= self.free[j] * push
-                    else:
-                        p = n - self.springs
-                        v[t + 1, p] += v[t, p] + self.free[p] * h * (self.gravity - self.drag / mass * v[t, p])
-                        q[t + 1, p] = q[t, p] + h * v[t + 1, p]
+    def advance(self, t: ti.i32):
+        for p in range(self.points):
+            total = self.f[t, p] + self.mass * self.gravity - self.drag * self.v[t, p]
+            self.v[t + 1, p] = self.v[t, p] + self.h * self.free[p] * total / self.mass
+            self.q[t + 1, p] = self.q[t, p] + self.h * self.v[t + 1, p]
 
     @ti.kernel
-    def last(self, q: vectors, v: vectors):
+    def put(self, t: ti.i32, q: vectors, v: vectors):
         for p in range(self.points):
-            q[p], v[p] = self.q[self.steps, p], self.v[self.steps, p]
+            self.q[t, p], self.v[t, p] = q[p], self.free[p] * v[p]
 
     @ti.kernel
-    def seed(self, q: vectors, v: vectors):
+    def take(self, t: ti.i32, q: vectors, v: vectors):
         for p in range(self.points):
-            self.q.grad[self.steps, p], self.v.grad[self.steps, p] = q[p], v[p]
+            q[p], v[p] = self.q[t, p], self.v[t, p]
+
+    @ti.kernel
+    def seed(self, t: ti.i32, q: vectors, v: vectors):
+        for p in range(self.points):
+            self.q.grad[t, p], self.v.grad[t, p] = q[p], v[p]
+
+    @ti.kernel
+    def take_gradient(self, v: vectors):
+        for p in range(self.points):
+            v[p] = self.free[p] * self.v.grad[0, p]
 
 
 def make(problem):
@@ -70,21 +69,25 @@ def make(problem):
 
     def forward(stiffness, v0):
         cloth.stiffness.from_numpy(stiffness)
-        cloth.start.from_numpy(v0)
-        cloth.v.fill(0)
-        cloth.begin(problem["q0"])
-        cloth.run()
+        cloth.f.fill(0)
+        cloth.put(0, problem["q0"], v0)
+        for t in range(cloth.steps):
+            cloth.force(t)
+            cloth.advance(t)
         q, v = np.empty_like(problem["weights"])
-        cloth.last(q, v)
+        cloth.take(cloth.steps, q, v)
         return q, v
 
     def gradient(stiffness, v0):
         forward(stiffness, v0)
-        for field in (cloth.q, cloth.v, cloth.start, cloth.stiffness):
+        for field in (cloth.q, cloth.v, cloth.f, cloth.stiffness):
             field.grad.fill(0)
-        cloth.seed(*problem["weights"])
-        cloth.run.grad()
-        cloth.begin.grad(problem["q0"])
-        return cloth.stiffness.grad.to_numpy(), cloth.start.grad.to_numpy()
+        cloth.seed(cloth.steps, *problem["weights"])
+        for t in reversed(range(cloth.steps)):
+            cloth.advance.grad(t)
+            cloth.force.grad(t)
+        v_bar = np.empty_like(v0)
+        cloth.take_gradient(v_bar)
+        return cloth.stiffness.grad.to_numpy(), v_bar
 
     return forward, gradient
