@@ -129,8 +129,10 @@ def test_a_weak_jump_is_seen_beside_a_steep_slope(jump, slope, side):
 
 
 def test_noise_is_not_taken_for_a_jump():
-    rng, x = np.random.default_rng(7), np.ones(60)
-    for _ in range(10):
+    """These draws agree on four steps of one entry by chance: a gap at h = 0 that four steps show is no jump yet."""
+    x = np.ones(60)
+    for seed in (3, 16, 54):
+        rng = np.random.default_rng(seed)
         assert "jump" not in check_gradient(lambda z: z.sum() + 1e-6 * rng.normal(), x, x).verdicts
 
 
@@ -141,6 +143,15 @@ def test_a_one_sided_derivative_at_a_weak_kink_is_no_wrong_one(change):
 
     verdicts = [check_gradient(f, np.zeros(1), np.array([1 + part * change])).verdict for part in (-1, 0, 1, 2)]
     assert verdicts == ["wrong", "kink", "kink", "wrong"]
+
+
+@pytest.mark.parametrize("offset, error", [(0.0, 4e-6), (1e4, 4e-6), (1e7, 1e-3), (1e7, 1e-2)])
+def test_a_wrong_gradient_of_a_smooth_function_is_not_excused_as_a_kink(offset, error):
+    """One-sided differences are known worse than central ones: what lies between them need not be a kink."""
+    x, curve = np.array([0.3]), 5.0
+    right = curve * np.cos(curve * x)
+    assert check_gradient(lambda z: offset + np.sin(curve * z[0]), x, right).ok
+    assert check_gradient(lambda z: offset + np.sin(curve * z[0]), x, right * (1 + error)).verdict == "wrong"
 
 
 @pytest.mark.parametrize("gradient", [0.0, -0.0, None])
