@@ -117,6 +117,13 @@ def test_a_tiny_entry_that_f_knows_as_zero_is_judged_by_larger_steps(size):
     assert check_gradient(lambda z: abs(z[0] + 1e-16) + z[1] - 1e-16, x, [1.0, 1.0]).verdict in ("kink", "smooth")
 
 
+def test_a_second_sweep_is_for_tiny_entries_that_do_not_settle():
+    x = np.array([1e-8, 1.0])
+    once = check_gradient(np.sum, x, np.ones(2)).evaluations
+    assert check_gradient(lambda z: z[1], x, np.array([0.0, 1.0])).evaluations == once
+    assert check_gradient(lambda z: np.log(z[0]) + z[1], x, np.array([1e8, 1.0])).evaluations == 1.5 * (once - 1) + 1
+
+
 @pytest.mark.parametrize("jump, slope", [(1e-4, 1e6), (1e-6, 1e3), (1e-6, 1.0), (1e-8, 1.0), (1e-10, 1.0)])
 @pytest.mark.parametrize("side", [-1.0, 1.0])
 def test_a_weak_jump_is_seen_beside_a_steep_slope(jump, slope, side):
@@ -133,7 +140,7 @@ def test_noise_is_not_taken_for_a_jump():
     x = np.ones(60)
     for seed in (3, 16, 54):
         rng = np.random.default_rng(seed)
-        assert "jump" not in check_gradient(lambda z: z.sum() + 1e-6 * rng.normal(), x, x).verdicts
+        assert "jump" not in check_gradient(lambda z, rng=rng: z.sum() + 1e-6 * rng.normal(), x, x).verdicts
 
 
 @pytest.mark.parametrize("change", [3e-6, 1e-5, 1e-4, 1e-3])
