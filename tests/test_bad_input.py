@@ -34,6 +34,10 @@ def solve(residual=lambda z: z, slope=lambda z: np.eye(1), z0=(1.0,), **options)
     return newton(residual, slope, np.array(z0), **options)
 
 
+def blocks(field):
+    return System([1.0, 1.0], field, 2).dq(0.0, np.zeros(4), np.zeros(4))
+
+
 def wrong(value, shape=(2, 2, 2)):
     return lambda *where: np.full(shape, value)
 
@@ -116,6 +120,7 @@ REFUSED = {
     "wind shape": (lambda: System([1.0], Drag(1, wind=[1, 2])), "wind must have shape (3,); got (2,)"),
     "wind nan": (lambda: Drag(1, wind=[NAN]), "wind must be finite; got nan at index 0"),
     "wind returns shape": (lambda: run(Drag(1, lambda t, x: x[:1])), "wind must return shape (2, 2); got (1, 2)"),
+    "wind returns text": (lambda: run(Drag(1, lambda t, x: "west")), "wind must return numbers; got 'west'"),
     "wind returns None": (lambda: run(Drag(1, lambda t, x: None)), "wind must return shape (2, 2); got ()"),
     "wind's slope shape": (
         lambda: run(Drag(1, lambda t, x: x, lambda t, x: x), BackwardEuler()),
@@ -129,14 +134,43 @@ REFUSED = {
         lambda: Drag(1, lambda t, x: x, 3),
         "wind_jacobian must be a callable (t, x), for a callable wind; got 3",
     ),
+    "slope of no wind": (
+        lambda: Drag(1, None, wrong(0.0)),
+        "wind_jacobian must go with a callable wind (t, x): leave it out, or give one; got wind None",
+    ),
     "slope of a constant wind": (
         lambda: Drag(1, [1.0, 2.0], wrong(0.0)),
-        "wind_jacobian must be a callable (t, x), for a callable wind; got <function*",
+        "wind_jacobian must go with a callable wind (t, x): leave it out, or give one; got wind [1.0, 2.0]",
+    ),
+    "differenced wind returns text": (
+        lambda: blocks(Drag(1, lambda t, x: "west")),
+        "wind must return numbers; got 'west'",
+    ),
+    "differenced wind returns shape": (
+        lambda: blocks(Drag(1, lambda t, x: x[:1])),
+        "wind must return shape (2, 2); got (1, 2)",
     ),
     # fields
     "field a number": (lambda: Field(3), "force must be a callable of x (N,d); got 3"),
     "field's slope a number": (lambda: Field(lambda x: x, 3), "jacobian must be a callable of x (N,d); got 3"),
     "field returns shape": (lambda: run(Field(lambda x: x[0])), "field.force must return shape (2, 2); got (2,)"),
+    "field returns text": (lambda: run(Field(lambda x: "up")), "field.force must return numbers; got 'up'"),
+    "field returns ragged": (
+        lambda: run(Field(lambda x: [[0, 1], [2]])),
+        "field.force must return numbers; got [[0, 1], [2]]",
+    ),
+    "field jacobian returns text": (
+        lambda: blocks(Field(lambda x: x, lambda x: "steep")),
+        "field.jacobian must return numbers; got 'steep'",
+    ),
+    "differenced field returns text": (
+        lambda: blocks(Field(lambda x: "up")),
+        "field.force must return numbers; got 'up'",
+    ),
+    "differenced field returns shape": (
+        lambda: blocks(Field(lambda x: x[0])),
+        "field.force must return shape (2, 2); got (2,)",
+    ),
     "field returns None": (lambda: run(Field(lambda x: None)), "field.force must return shape (2, 2); got ()"),
     "field's slope shape": (
         lambda: run(Field(lambda x: x, lambda x: x), BackwardEuler()),

@@ -33,6 +33,12 @@ COST = """
 
     def broken(x):
         return 1 / 0
+
+    def listed(x):
+        return [float(x @ x), 2 * x]
+
+    def short(x):
+        return float(x @ x), 2 * x[:2]
 """
 
 PROGRAM = """
@@ -50,6 +56,8 @@ PROGRAM = """
         sys.exit(0)
     if "sleep" in sys.argv:
         import time; time.sleep(30)
+    if "short" in sys.argv:
+        gradient = gradient[..., :2]
     if "partial" in sys.argv:
         np.savez(target, value=value)
     elif "garbage" in sys.argv:
@@ -132,6 +140,20 @@ def test_plots_are_pictures(folder):
             ["cost.py:broken", "--at", "x.npy"],
             r"broken raised ZeroDivisionError: division by zero (line 19 of cost.py)",
         ),
+        (["cost.py:listed", "--at", "x.npy"], "listed must return the tuple (value, gradient); got a list"),
+        (["cost.py:short", "--at", "x.npy"], "gradient must have the shape of x, (3,); got (2,)"),
+        (
+            ["--exec", "./program short", "--at", "x.npy"],
+            "gradient must have the shape of x, (3,); ./program short wrote",
+        ),
+        (
+            ["--exec", "./program batch short", "--batch", "--at", "x.npy"],
+            "gradient must have shape (1, 3) for a batch; ./program batch short wrote (1, 2)",
+        ),
+        (
+            ["--exec", "./program 'a b", "--at", "x.npy"],
+            '--exec must be a command line; got "./program \'a b" (No closing',
+        ),
         (["cost.py:bare", "--at", "x.npy"], "must return (value, gradient)"),
         (["cost.py:right", "--at", "none.npy"], "there is none at none.npy"),
         (["cost.py:right", "--at", "zero,one"], "numbers like 0.1,0.2; got 'zero,one'"),
@@ -156,6 +178,28 @@ def test_the_command_line_turns_errors_into_code_2(folder, capsys, monkeypatch):
     with pytest.raises(SystemExit) as stop:
         main()
     assert stop.value.code == 2 and capsys.readouterr().err.strip() == "dsim: there is no file none.py"
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["cost.py:listed", "--at", "x.npy"],
+        ["cost.py:short", "--at", "x.npy"],
+        ["--exec", "./program short", "--at", "x.npy"],
+        ["--exec", "./program 'a b", "--at", "x.npy"],
+    ],
+)
+def test_an_answer_that_cannot_be_judged_is_code_2_and_one_line(folder, capsys, monkeypatch, arguments):
+    monkeypatch.setattr(sys, "argv", ["dsim", "check", *arguments])
+    with pytest.raises(SystemExit) as stop:
+        main()
+    said = capsys.readouterr()
+    assert stop.value.code == 2 and said.out == "" and said.err.strip().count("\n") == 0
+
+
+def test_every_printed_line_fits_80_columns(folder):
+    for name in ("right", "wrong", "kink"):
+        assert max(map(len, run(f"cost.py:{name}", "--at", "x.npy").stdout.splitlines())) <= 80
 
 
 def test_as_a_program(folder):

@@ -1,6 +1,7 @@
 """check_gradient and its kin: right gradients are smooth, wrong ones are caught, rough functions are named."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from scipy.sparse import csr_array
 from scipy.sparse.linalg import aslinearoperator
 
 from dsim.studies import check_adjoint, check_gradient, check_jacobian, taylor_test
+from dsim.studies.gradient_check import ADVICE
 
 X = np.random.default_rng(0).normal(size=12)
 
@@ -86,6 +88,89 @@ def test_beyond_the_budget_the_rest_is_seen_through_sign_vectors():
     unseen = next(i for i in range(600) if f"entry {i}" not in looked_at)
     wrong = check_gradient(sines, x, bent(np.cos(x), unseen, 0.01), entries=64)
     assert wrong.verdict == "wrong" and wrong.worst.startswith("sign vector")
+
+
+MIXED = {  # an entry of this size beside 1, on which f depends by that scale
+    "sine": (lambda x, size: np.sin(x[0] / size) + np.sin(x[1]), lambda size: np.cos(1) / size, np.cos(1)),
+    "logarithm": (lambda x, size: np.log(x[0]) + x[1], lambda size: 1 / size, 1.0),
+    "bump": (lambda x, size: np.exp(-((x[0] / size) ** 2)) + x[1], lambda size: -2 / size / np.e, 1.0),
+}
+
+
+@pytest.mark.parametrize("size", [1e-4, 1e-8, 1e-12])
+@pytest.mark.parametrize("name", MIXED)
+def test_an_entry_is_judged_by_its_own_scale(name, size):
+    f, slope, other = MIXED[name]
+    x = np.array([size, 1.0])
+    right, wrong = np.array([slope(size), other]), np.array([slope(size) * (1 + 1e-5), other])
+    assert check_gradient(lambda z: f(z, size), x, right).digits > 6
+    report = check_gradient(lambda z: f(z, size), x, wrong)
+    assert report.verdict == "wrong" and report.worst == "entry 0" and report.window[1] < size
+
+
+@pytest.mark.parametrize("size", [1e-9, 1e-17, 1e-315])
+def test_a_tiny_entry_that_f_knows_as_zero_is_judged_by_larger_steps(size):
+    """Steps of 1e-10 of 1e-17 change nothing in 1e3 (x + 1): they must not be taken for a staircase."""
+    x = np.array([size, 1.0])
+    assert check_gradient(lambda z: 1e3 * (z[0] + 1) + z[1], x, [1e3, 1.0]).ok
+    assert check_gradient(lambda z: 1e3 * (z[0] + 1) + z[1], x, [1.001e3, 1.0]).verdict == "wrong"
+    assert check_gradient(lambda z: abs(z[0] + 1e-16) + z[1] - 1e-16, x, [1.0, 1.0]).verdict in ("kink", "smooth")
+
+
+def test_a_second_sweep_is_for_tiny_entries_that_do_not_settle():
+    x = np.array([1e-8, 1.0])
+    once = check_gradient(np.sum, x, np.ones(2)).evaluations
+    assert check_gradient(lambda z: z[1], x, np.array([0.0, 1.0])).evaluations == once
+    assert check_gradient(lambda z: np.log(z[0]) + z[1], x, np.array([1e8, 1.0])).evaluations == 1.5 * (once - 1) + 1
+
+
+@pytest.mark.parametrize("jump, slope", [(1e-4, 1e6), (1e-6, 1e3), (1e-6, 1.0), (1e-8, 1.0), (1e-10, 1.0)])
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+def test_a_weak_jump_is_seen_beside_a_steep_slope(jump, slope, side):
+    def f(x):
+        return slope * np.sin(x[0]) + jump * (side * (x[0] - 0.5) > 0)
+
+    gradient = np.array([slope * np.cos(0.5)])
+    assert check_gradient(f, np.array([0.5]), gradient).verdict == "jump"
+    assert check_gradient(lambda x: slope * np.sin(x[0]), np.array([0.5]), gradient).ok
+
+
+def test_noise_is_not_taken_for_a_jump():
+    """These draws agree on four steps of one entry by chance: a gap at h = 0 that four steps show is no jump yet."""
+    x = np.ones(60)
+    for seed in (3, 16, 54):
+        rng = np.random.default_rng(seed)
+        assert "jump" not in check_gradient(lambda z, rng=rng: z.sum() + 1e-6 * rng.normal(), x, x).verdicts
+
+
+@pytest.mark.parametrize("change", [3e-6, 1e-5, 1e-4, 1e-3])
+def test_a_one_sided_derivative_at_a_weak_kink_is_no_wrong_one(change):
+    def f(x):
+        return x[0] + change * max(x[0], 0.0)
+
+    verdicts = [check_gradient(f, np.zeros(1), np.array([1 + part * change])).verdict for part in (-1, 0, 1, 2)]
+    assert verdicts == ["wrong", "kink", "kink", "wrong"]
+
+
+@pytest.mark.parametrize("offset, error", [(0.0, 4e-6), (1e4, 4e-6), (1e7, 1e-3), (1e7, 1e-2)])
+def test_a_wrong_gradient_of_a_smooth_function_is_not_excused_as_a_kink(offset, error):
+    """One-sided differences are known worse than central ones: what lies between them need not be a kink."""
+    x, curve = np.array([0.3]), 5.0
+    right = curve * np.cos(curve * x)
+    assert check_gradient(lambda z: offset + np.sin(curve * z[0]), x, right).ok
+    assert check_gradient(lambda z: offset + np.sin(curve * z[0]), x, right * (1 + error)).verdict == "wrong"
+
+
+@pytest.mark.parametrize("gradient", [0.0, -0.0, None])
+def test_digits_are_sensible_where_the_derivative_vanishes(gradient):
+    report = check_gradient(lambda x: x[0] * abs(x[0]), np.zeros(1), None if gradient is None else np.array([gradient]))
+    assert report.ok and report.digits > 6 and "-0" not in str(report).replace("e-0", "")
+
+
+def test_no_digits_are_never_minus_zero():
+    report = check_gradient(sines, X, -np.cos(X))
+    assert report.verdict == "wrong" and np.copysign(1.0, report.digits) == 1.0
+    assert "-0.0" not in json.dumps(report.to_dict())
 
 
 ROUGH = {
@@ -226,6 +311,13 @@ def test_random_smooth_functions_at_every_scale(seed, decade, entry):
         (lambda: check_gradient(lambda x: (1, 2, 3), X), "f must return a number or .* tuple of 3"),
         (lambda: check_gradient(lambda x: np.nan, X, X), r"f\(x\) must be finite; got nan"),
         (lambda: check_gradient(lambda x: "high", X, X), r"f\(x\) must be an array of numbers"),
+        (lambda: check_gradient(lambda x: [x @ x, 2 * x], X), r"the tuple \(number, gradient\); got a list"),
+        (lambda: check_gradient(3.0, X, X), "f must be callable, x -> number or .*; got 3.0"),
+        (lambda: taylor_test("sines", X, X), "f must be callable, x -> number or .*; got 'sines'"),
+        (lambda: check_gradient(sines, X, X, entries=0), "entries must be a whole number >= 1; got 0"),
+        (lambda: check_gradient(sines, X, X, entries=2.5), "entries must be a whole number >= 1; got 2.5"),
+        (lambda: check_gradient(sines, X, X, entries="all"), "entries must be a whole number >= 1; got 'all'"),
+        (lambda: check_jacobian(None, X, np.eye(12)), r"f must be callable, x -> \(m,\); got None"),
         (lambda: check_gradient(sines, [], []), "x must have at least one entry"),
         (lambda: check_gradient(sines, X, X, rtol=-1), "rtol must be > 0"),
         (lambda: check_jacobian(lambda x: x, X, np.eye(3)), r"jacobian must have shape \(12, 12\).*got \(3, 3\)"),
@@ -241,9 +333,16 @@ def test_a_gradient_that_is_not_finite_is_wrong():
     assert check_gradient(sines, X, np.where(X > 0, np.cos(X), np.nan)).verdict == "wrong"
 
 
+@pytest.mark.parametrize("name", ADVICE)
+def test_every_line_of_every_report_fits_80_columns(name):
+    report = replace(check_gradient(sines, X, np.cos(X)), verdict=name, note="differences do not settle " * 5)
+    lines = str(report).splitlines()
+    assert max(map(len, lines)) <= 80 and " ".join(ADVICE[name].split()) in " ".join(" ".join(lines).split())
+
+
 def test_the_report_reads_well_and_goes_to_json():
     report = check_gradient(sines, X, bent(np.cos(X), 4))
-    assert max(map(len, str(report).splitlines()[:-1])) <= 80
+    assert max(map(len, str(report).splitlines())) <= 80
     data = json.loads(json.dumps(report.to_dict()))
     assert data["verdict"] == "wrong" and data["worst"]["entry"] == "entry 4" and data["counts"]["smooth"] == 11
 

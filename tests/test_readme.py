@@ -27,16 +27,24 @@ def test_the_cloth_prints_a_checked_gradient(capsys):
     assert "verdict   smooth" in capsys.readouterr().out
 
 
+def test_ten_lines_are_ten():
+    section = TEXT[TEXT.index("## Ten lines") :]
+    assert BLOCKS[0] in section and len([line for line in BLOCKS[0].splitlines() if line.strip()]) == 10
+
+
 def test_the_effect_is_checked(capsys):
     exec(BLOCKS[2], {"__name__": "readme"})
     lines = capsys.readouterr().out.splitlines()
-    assert len(lines) >= 8 and all("passed=True" in line for line in lines)
+    assert len(lines) >= 8 and all(line.startswith("pass  trap ") and len(line) <= 80 for line in lines)
+    quoted = re.search(r"```text\n(.*?)```", TEXT, flags=re.S).group(1).splitlines()
+    statements = [line.split(";")[0] for line in lines]
+    assert [line.split(";")[0] for line in quoted] == statements[: len(quoted)]
 
 
 def test_the_effect_without_its_derivative_is_red(capsys):
     source = re.sub(r"    def dq.*?(?=    def dtheta)", "", BLOCKS[2], flags=re.S)
     exec(source, {"__name__": "readme"})
-    assert "passed=False" in capsys.readouterr().out
+    assert "FAIL  trap 2-D: dq of the force" in capsys.readouterr().out
 
 
 def test_the_quoted_stepper_is_the_real_one():

@@ -49,6 +49,17 @@ def as_positive(name: str, value: Any, shape: Sequence[int | None] | None = None
     return array
 
 
+def as_answer(name: str, value: Any, *shapes: tuple[int, ...]) -> Array:
+    """What a user's function returned: numbers of one of `shapes`.  NaN may pass: a run ends there by itself."""
+    try:
+        array = np.asarray(value, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"{name} must return numbers; got {value!r:.60}") from error
+    if array.shape not in shapes:
+        raise ValueError(f"{name} must return shape {shapes[0]}; got {array.shape}")
+    return array
+
+
 def as_step(h: Any) -> float:
     """A step size: finite and > 0."""
     return float(as_positive("h", h, ()))

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from dsim.arrays.checks import Array, Numbers, as_array, as_nonnegative
+from dsim.arrays.checks import Array, Numbers, as_answer, as_array, as_nonnegative
 from dsim.arrays.frozen import replace
 from dsim.arrays.scatter import block_diagonal, diagonal, pointwise_jacobian
 from dsim.effects.rows import DragRows
@@ -42,9 +42,15 @@ class Drag:
         object.__setattr__(self, "coefficient", coefficient)
         if self.wind is not None and not callable(self.wind):
             object.__setattr__(self, "wind", as_array("wind", self.wind, (None,)))
-        if self.wind_jacobian is not None and not (callable(self.wind_jacobian) and callable(self.wind)):
-            given = repr(self.wind_jacobian)
-            raise ValueError(f"wind_jacobian must be a callable (t, x), for a callable wind; got {given:.60}")
+        if self.wind_jacobian is not None and not callable(self.wind_jacobian):
+            raise ValueError(
+                f"wind_jacobian must be a callable (t, x), for a callable wind; got {self.wind_jacobian!r:.60}"
+            )
+        if self.wind_jacobian is not None and not callable(self.wind):
+            given = None if self.wind is None else np.asarray(self.wind).tolist()
+            raise ValueError(
+                f"wind_jacobian must go with a callable wind (t, x): leave it out, or give one; got wind {given!r:.60}"
+            )
 
     @property
     def differenced(self) -> bool:
@@ -79,10 +85,12 @@ class Drag:
             return velocity
         if not callable(self.wind):
             return velocity - self.wind
-        air = np.asarray(self.wind(t, q.reshape(velocity.shape)), dtype=float)
-        if air.shape not in (velocity.shape, (self.dimension,)):
-            raise ValueError(f"wind must return shape {velocity.shape}; got {air.shape}")
-        return velocity - air
+        return velocity - self._air(t, q.reshape(velocity.shape))
+
+    def _air(self, t: float, x: Array) -> Array:
+        """What a callable wind returns at x (N,d): (N,d), or (d,) where it is the same everywhere."""
+        assert callable(self.wind)
+        return as_answer("wind", self.wind(t, x), x.shape, (self.dimension,))
 
     def _per_dof(self) -> Array:
         """The coefficient of every degree of freedom, (n,)."""
@@ -98,15 +106,9 @@ class Drag:
 
     def _wind_blocks(self, t: float, q: Array) -> Array:
         x = q.reshape(self.points, self.dimension)
-        wind, jacobian = self.wind, self.wind_jacobian
-        assert callable(wind)
-        if jacobian is None:
-
-            def everywhere(place: Array) -> Array:  # a uniform (d,) answer serves every point
-                return np.broadcast_to(np.asarray(wind(t, place), dtype=float), x.shape)
-
-            return pointwise_jacobian(everywhere, x)
-        return as_array("wind_jacobian", jacobian(t, x), (self.points, self.dimension, self.dimension))
+        if self.wind_jacobian is None:
+            return pointwise_jacobian(lambda place: np.broadcast_to(self._air(t, place), x.shape), x)
+        return as_array("wind_jacobian", self.wind_jacobian(t, x), (self.points, self.dimension, self.dimension))
 
     def _dq(self, t: float, q: Array, v: Array) -> csr_array:
         c = np.broadcast_to(self.coefficient, self.points)

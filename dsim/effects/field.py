@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
-from dsim.arrays.checks import Array
+from dsim.arrays.checks import Array, as_answer
 from dsim.arrays.frozen import replace
 from dsim.arrays.scatter import block_diagonal, pointwise_jacobian
 
@@ -58,10 +58,7 @@ class Field:
         return replace(self, points=len(mass), dimension=dimension)
 
     def _values(self, label: str, function: PointMap, q: Array, shape: tuple[int, ...]) -> Array:
-        value = np.asarray(function(q.reshape(self.points, self.dimension)), dtype=float)
-        if value.shape != shape:
-            raise ValueError(f"{self.name}.{label} must return shape {shape}; got {value.shape}")
-        return value
+        return as_answer(f"{self.name}.{label}", function(q.reshape(self.points, self.dimension)), shape)
 
     def force(self, t: float, q: Array, v: Array) -> Array:
         return self._values("force", self.function, q, (self.points, self.dimension)).ravel()
@@ -77,7 +74,9 @@ class Field:
     def _blocks(self, q: Array) -> Array:
         shape = (self.points, self.dimension, self.dimension)
         if self.jacobian is None:
-            return pointwise_jacobian(self.function, q.reshape(shape[:2]))
+            return pointwise_jacobian(
+                lambda x: self._values("force", self.function, x, shape[:2]), q.reshape(shape[:2])
+            )
         return self._values("jacobian", self.jacobian, q, shape)
 
     def dq(self, t: float, q: Array, v: Array) -> csr_array:

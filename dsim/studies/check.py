@@ -14,3 +14,11 @@ class Check:
     passed: bool
     measured: float
     bound: str  # the claim in figures: "<= 1e-7", "2 +- 0.1"
+
+    def __str__(self) -> str:
+        """
+        >>> print(Check("springs 2-D", "dq of the force", True, 3.2e-9, "<= 1e-07"))
+        pass  springs 2-D: dq of the force; 3.2e-09, must be <= 1e-07
+        """
+        word = "pass" if self.passed else "FAIL"
+        return f"{word}  {self.subject}: {self.statement}; {self.measured:.2g}, must be {self.bound}"

@@ -73,9 +73,12 @@ def load_function(text: str) -> Callable[[Any], Any]:
     def called(x: Any) -> Any:
         try:
             with redirect_stdout(sys.stderr):  # what it prints must not mix with the verdict
-                return function(x)
+                answer = function(x)
         except (Exception, SystemExit) as error:
             raise ValueError(f"{name} raised {_told(error, path)}") from error
+        if isinstance(answer, list):
+            raise ValueError(f"{name} must return the tuple (value, gradient); got a list")
+        return answer
 
     return called
 
@@ -105,7 +108,11 @@ class Program:
     def __post_init__(self) -> None:
         if self.format not in FORMATS:
             raise ValueError(f"--format must be one of {', '.join(FORMATS)}; got {self.format!r}")
-        if not shlex.split(self.command):
+        try:
+            words = shlex.split(self.command)
+        except ValueError as error:  # a quote that is not closed
+            raise ValueError(f"--exec must be a command line; got {self.command!r} ({error})") from error
+        if not words:
             raise ValueError("--exec must name a program; got an empty text")
         if not 0 < self.timeout <= 1e6:
             raise ValueError(f"--timeout must be > 0 and at most 1e6 seconds; got {self.timeout}")
@@ -113,8 +120,10 @@ class Program:
     def __call__(self, x: Array) -> tuple[float, Array]:
         answer = self._run(x[None] if self.batch else x)
         value, gradient = (self._field(answer, name) for name in ("value", "gradient"))
-        if self.batch:
-            value, gradient = value.reshape(1), gradient.reshape(1, -1)[0]
+        expected = (1, *x.shape) if self.batch else x.shape
+        if gradient.size != x.size:
+            wanted = f"shape {expected} for a batch" if self.batch else f"the shape of x, {expected}"
+            raise ValueError(f"gradient must have {wanted}; {self.command} wrote {gradient.shape}")
         return float(as_array("value", value.reshape(-1), (1,))[0]), gradient.reshape(x.shape)
 
     def many(self, points: Sequence[Array]) -> list[float]:

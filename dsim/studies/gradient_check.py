@@ -8,13 +8,14 @@ against the best estimate *and its error*, entry by entry.
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
 import numpy as np
 
-from dsim.arrays.checks import Array, as_positive
+from dsim.arrays.checks import Array, as_count, as_positive
 from dsim.studies.foreign_arrays import like, to_numpy
 
 Verdict = Literal["smooth", "kink", "jump", "noise", "wrong"]
@@ -76,7 +77,7 @@ class GradientReport:
     def advice(self) -> str:
         """What to do next."""
         if self.given is None and self.ok:
-            return "The function is smooth here; no gradient was given, so none was judged."
+            return "Smooth here; no gradient was given, so none was judged."
         return ADVICE[self.verdict]
 
     def to_dict(self) -> dict[str, Any]:
@@ -103,15 +104,21 @@ class GradientReport:
     def __str__(self) -> str:
         i, given = self.worst_index, "none"
         if self.given is not None:
-            given = f"{self.given[i]:.12g}"
+            given = f"{self.given[i] + 0.0:.12g}"  # + 0.0 makes -0 a 0
         lines = [
             f"verdict   {self.verdict}" + (f", {self.digits:.1f} digits" if self.ok else ""),
             f"worst     {self.worst}: given {given}",
-            f"          differences {self.numerical[i]:.12g} +- {self.error[i]:.1e}",
+            f"          differences {self.numerical[i] + 0.0:.12g} +- {self.error[i]:.1e}",
             f"window    steps {self.window[0]:.1e} to {self.window[1]:.1e}",
             f"looked at {self.coverage}, {self.evaluations} evaluations",
         ]
-        return "\n".join([*lines, *([f"note      {self.note}"] if self.note else []), f"next      {self.advice}"])
+        lines += [_wrapped("note", self.note)] if self.note else []
+        return "\n".join([*lines, _wrapped("next", self.advice)])
+
+
+def _wrapped(label: str, text: str) -> str:
+    """One labelled paragraph of a report, in 80 columns."""
+    return textwrap.fill(text, 80, initial_indent=f"{label:10s}", subsequent_indent=" " * 10)
 
 
 def check_gradient(
@@ -130,13 +137,15 @@ def check_gradient(
 
     Steps are swept from 1e-3 down to 1e-10 of max(1, |x_i|), both sides; where all |x| < 1 the sweep goes on
     down to 1e-10 max |x|, so that tiny scales are seen.  In single precision it runs from 7e-2 to 2e-5.
+    An entry that is tiny beside others, and whose differences do not settle, is swept again, down to 1e-10 |x_i|.
     An entry is wrong when it differs from the differences by more than rtol (1e-6; 5e-4 in single precision) of
     its own size plus ten times their error estimate.  Up to `entries` entries are looked at one by one; beyond that
     half of them are the largest, half random, and eight random sign vectors look at all the others together.
 
     Verdicts: smooth; kink (one-sided derivatives differ), jump (f is discontinuous), noise (nothing steady to
     compare with), wrong.  The worst one found is the report's, wrong before jump, kink and noise.
-    Raises ValueError for an x or f(x) that is not finite, and for shapes that do not match.
+    Raises ValueError for an f that cannot be called, an x or f(x) that is not finite, entries that are no whole
+    number >= 1, and for shapes that do not match.
 
     >>> report = check_gradient(lambda x: float(x @ x), np.array([1.0, 2.0]), np.array([2.0, 4.0]))
     >>> report.verdict, report.digits > 8
@@ -148,8 +157,8 @@ def check_gradient(
     given = None if gradient is None else _as_gradient(gradient, problem.x.shape)
     eps = problem.eps
     tolerance = float(as_positive("rtol", rtol, ())) if rtol is not None else max(1e-6, 20 * eps ** (2 / 3))
-    directions, labels, coverage = _directions(problem.x.ravel(), given, entries, seed)
-    sweep = _Sweep(problem, directions, fine=len(directions) <= 64)
+    directions, labels, coverage = _directions(problem.x.ravel(), given, as_count("entries", entries, 1), seed)
+    sweep = _settled(problem, directions, tolerance)
     claimed = None if given is None else np.array([d.dot(given) for d in directions])
     return _judge(sweep, claimed, labels, coverage, tolerance)
 
@@ -158,6 +167,8 @@ class _Function:
     """f with its values as floats, x as NumPy, and a count of the calls."""
 
     def __init__(self, f: Callable[[Any], Any], x: Any) -> None:
+        if not callable(f):
+            raise ValueError(f"f must be callable, x -> number or (number, gradient); got {f!r:.60}")
         self.x = to_numpy("x", x)
         dtype = self.x.dtype if np.issubdtype(self.x.dtype, np.floating) else np.dtype(float)
         self.x = self.x.astype(dtype)
@@ -178,6 +189,8 @@ class _Function:
         with np.errstate(all="ignore"):
             answer = self._f(self._like(x))
         gradient = None
+        if isinstance(answer, list) and len(answer) != 1:
+            raise ValueError("f must return a number or the tuple (number, gradient); got a list")
         if isinstance(answer, tuple):
             if len(answer) != 2:
                 raise ValueError(f"f must return a number or (number, gradient); got a tuple of {len(answer)}")
@@ -237,16 +250,21 @@ def _directions(
 
 
 class _Sweep:
-    """Values of f on both sides of x, D directions times K steps, steps falling."""
+    """Values of f on both sides of x, D directions times K steps, steps falling; `fine` takes two a decade.
 
-    def __init__(self, f: _Function, directions: list[_Direction], fine: bool) -> None:
+    own: the steps go by |x_i| of each entry, however small it is.
+    """
+
+    def __init__(self, f: _Function, directions: list[_Direction], fine: bool, own: bool = False) -> None:
         self.f, x = f, f.x
+        self.own = np.full(len(directions), own)
         largest = float(np.abs(x).max())
         least = min(1.0, largest) if largest > 0 else 1.0
         top, bottom = f.eps ** (1 / 6), f.eps ** (2 / 3)
         count = int(np.ceil((2 if fine else 1) * np.log10(top / (bottom * least)))) + 1
         grid = np.geomspace(top, bottom * least, count)
-        scale = np.array([max(1.0, abs(float(x.ravel()[d.index]))) if d.signs is None else 1.0 for d in directions])
+        size = np.array([abs(float(x.ravel()[d.index])) if d.signs is None else 1.0 for d in directions])
+        scale = size / least if own else np.maximum(1.0, size)
         shape = (len(directions), count)
         self.ahead, self.behind = np.empty(shape), np.empty(shape)
         self.h_ahead, self.h_behind = np.empty(shape), np.empty(shape)
@@ -268,6 +286,12 @@ class _Sweep:
         self.bend = np.where(np.isfinite(bend), bend, 0.0)[:, -3:].max(axis=1)
         self.bend = np.maximum(self.bend, self._quantum())
         self.noise = np.maximum(self.rounding, self.bend[:, None])
+
+    def take(self, rows: Any, finer: _Sweep, chosen: Any) -> None:
+        """Replace directions `rows` by the `chosen` ones of a sweep of as many steps."""
+        for name, values in vars(finer).items():
+            if name != "f":
+                getattr(self, name)[rows] = values[chosen]
 
     def _quantum(self) -> float:
         """The height of a stair, where values are rounded to a lower precision than f's own; else 0.
@@ -295,6 +319,11 @@ class _Sweep:
     @property
     def finite(self) -> Any:
         return np.isfinite(self.ahead) & np.isfinite(self.behind)
+
+    def estimates(self) -> tuple[Estimate, Estimate, Estimate]:
+        """The derivative from both sides, from the left and from the right."""
+        middle = self.estimate(self.central, self.steps, power=2)
+        return middle, self.estimate(self.left, self.h_behind, 1), self.estimate(self.right, self.h_ahead, 1)
 
     def estimate(self, differences: Array, steps: Array, power: int) -> Estimate:
         """Extrapolate differences whose error expands in h^power; keep, per direction, the best entry of the table."""
@@ -324,6 +353,32 @@ class _Sweep:
         return Estimate(best, error, coarsest, finest)
 
 
+def _settled(f: _Function, directions: list[_Direction], rtol: float) -> _Sweep:
+    """A sweep in which entries tiny beside others are judged by steps of their own size, if those settle better."""
+    fine = len(directions) <= 64
+    sweep = _Sweep(f, directions, fine)
+    doubt, slope = _doubt(sweep)
+    size = np.array([abs(float(f.x.ravel()[d.index])) if d.signs is None else 0.0 for d in directions])
+    tiny = (size > 0) & (size < min(1.0, float(np.abs(f.x).max())))
+    changes = ((sweep.ahead != f.value) | (sweep.behind != f.value)).any(axis=1)
+    rows = np.flatnonzero(tiny & changes & ~(doubt <= rtol * slope))
+    if len(rows):
+        finer = _Sweep(f, [directions[row] for row in rows.tolist()], fine, own=True)
+        seen = ((finer.ahead != f.value) & (finer.behind != f.value)).mean(axis=1) > 0.5  # or f rounds them away
+        better = seen & (_doubt(finer)[0] < doubt[rows])
+        sweep.take(rows[better], finer, better)
+    return sweep
+
+
+def _doubt(sweep: _Sweep) -> tuple[Array, Array]:
+    """How badly each derivative is known - error estimates, and what the two sides differ by - and its size (D,)."""
+    middle, left, right = sweep.estimates()
+    doubt = middle.error + left.error + right.error + np.abs(left.value - right.value)
+    return np.where(np.isfinite(doubt), doubt, np.inf), np.nan_to_num(
+        np.maximum(np.abs(left.value), np.abs(right.value))
+    )
+
+
 def _contradiction(table: Array, round_off: Array) -> Array:
     """How far an entry lies from any entry of finer steps, beyond that one's round-off, (D,K).
 
@@ -337,9 +392,7 @@ def _contradiction(table: Array, round_off: Array) -> Array:
 
 
 def _judge(sweep: _Sweep, claimed: Array | None, labels: tuple[str, ...], coverage: str, rtol: float) -> GradientReport:
-    middle = sweep.estimate(sweep.central, sweep.steps, power=2)
-    right = sweep.estimate(sweep.right, sweep.h_ahead, power=1)
-    left = sweep.estimate(sweep.left, sweep.h_behind, power=1)
+    middle, left, right = sweep.estimates()
     known = np.where(np.isfinite(middle.error), np.abs(np.nan_to_num(middle.value)), 0.0)
     largest = float(max(known.max(), 0.0 if claimed is None else np.abs(np.nan_to_num(claimed)).max()))
     sides = (left, right)
@@ -348,7 +401,7 @@ def _judge(sweep: _Sweep, claimed: Array | None, labels: tuple[str, ...], covera
     verdict = min(verdicts, key=order.index)
     off = _disagreement(sweep, middle, claimed)
     row = max((i for i, v in enumerate(verdicts) if v == verdict), key=lambda i: off[i])
-    digits = float(np.clip(-np.log10(max(off[row], 1e-16)), 0, 16)) if verdict == "smooth" else 0.0
+    digits = max(0.0, -float(np.log10(np.clip(off[row], 1e-16, 1.0)))) if verdict == "smooth" else 0.0
     return GradientReport(
         verdict=verdict,
         digits=digits,
@@ -398,10 +451,17 @@ def _verdict(
     if _is_staircase(sweep, row):
         return "noise"
     if given is not None and abs(given - slope) > rtol * max(abs(given), abs(slope)) + doubt:
-        return "wrong"
+        return "kink" if _between(given, sides, row) else "wrong"
     if _unknown(sweep, row, middle, given) and max(abs(slope), abs(given or 0.0)) > 1e-6 * largest:
         return "noise"
     return "smooth"
+
+
+def _between(given: float, sides: list[Estimate], row: int) -> bool:
+    """Whether the slopes of the two sides surely differ, however little, and the given one is theirs or between."""
+    ends = sorted((float(side.value[row]), _TRUST * float(side.error[row])) for side in sides)
+    (low, below), (high, above) = ends
+    return high - low > below + above and low - below <= given <= high + above
 
 
 def _unknown(sweep: _Sweep, row: int, middle: Estimate, given: float | None) -> bool:
@@ -412,13 +472,19 @@ def _unknown(sweep: _Sweep, row: int, middle: Estimate, given: float | None) -> 
 
 
 def _jumps(sweep: _Sweep, row: int) -> bool:
-    """The value next to x, on one side, stays away from f(x) by the same amount however small the step."""
-    for values in (sweep.ahead[row], sweep.behind[row]):
-        gap = values[-4:] - sweep.f.value
-        if not np.isfinite(gap).all():
+    """The value next to x, on one side, stays away from f(x) by the same amount however small the step.
+
+    gap(h) = jump + slope h, so two steps give the jump; the slope, however steep, does not hide it.
+    """
+    last = max(4, min(6, sweep.steps.shape[1] // 2 + 1))  # so many do not agree by chance where f is noise
+    for values, steps in ((sweep.ahead, sweep.h_ahead), (sweep.behind, sweep.h_behind)):
+        gap, h = values[row, -last:] - sweep.f.value, steps[row, -last:]
+        if not np.isfinite(gap[-4:]).all():
             return True
-        typical = np.abs(np.median(gap))
-        if typical > 50 * sweep.rounding[row, -1] and np.ptp(gap) < 0.05 * typical:
+        with np.errstate(all="ignore"):
+            jump = (gap[1:] * h[:-1] - gap[:-1] * h[1:]) / (h[:-1] - h[1:])
+        typical = np.abs(np.median(jump))
+        if typical > 50 * sweep.rounding[row, -1] and np.ptp(jump) < 0.05 * typical:
             return True
     return False
 
@@ -451,8 +517,9 @@ def _disagreement(sweep: _Sweep, middle: Estimate, claimed: Array | None) -> Arr
     value, error = np.nan_to_num(middle.value), np.where(np.isfinite(middle.error), middle.error, np.inf)
     gap = error if claimed is None else np.fmax(np.abs(np.nan_to_num(claimed, nan=np.inf) - value), error)
     own = np.abs(value) if claimed is None else np.fmax(np.abs(value), np.abs(np.nan_to_num(claimed)))
-    fallback = own.max() or max(float(sweep.steepest.max()), abs(sweep.f.value), np.finfo(float).tiny)
-    scale = np.where(own > 1e3 * error, own, fallback)
+    known = own > 1e3 * error
+    fallback = own[known].max(initial=0.0) or max(float(sweep.steepest.max()), abs(sweep.f.value), np.finfo(float).tiny)
+    scale = np.where(known, own, fallback)
     with np.errstate(all="ignore"):
         return np.asarray(gap / scale)
 
@@ -460,6 +527,8 @@ def _disagreement(sweep: _Sweep, middle: Estimate, claimed: Array | None) -> Arr
 def _note(sweep: _Sweep, row: int, middle: Estimate, verdict: Verdict) -> str:
     if verdict != "smooth":
         return ""
+    if sweep.own[row]:
+        return "judged by steps of this entry's own size: with larger ones differences do not settle"
     coarse = sweep.steps[row] > 10 * middle.coarsest[row]
     away = np.abs(sweep.central[row] - middle.value[row]) > 0.05 * max(abs(middle.value[row]), 1e-300)
     if (coarse & away).any():
@@ -518,6 +587,8 @@ def check_jacobian(f: Callable[[Any], Any], x: Any, jacobian: Any, *, seed: int 
 
     Every output is looked at for m <= 32, else eight random sign weightings of all outputs; f is called once a point.
     """
+    if not callable(f):
+        raise ValueError(f"f must be callable, x -> (m,); got {f!r:.60}")
     memory: dict[bytes, Array] = {}
 
     def outputs(z: Any) -> Array:
