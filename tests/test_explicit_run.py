@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from dsim import System, adjoint, catalog, simulate
-from dsim.effects import Drag, Field, Gravity, SpringDamping, Springs
+from dsim.effects import Drag, Field, Gravity, SpringDamping, Springs, rows
 from dsim.effects.rows import PlainRows
 from dsim.simulation import _stepwise, record
 from dsim.solve import Status
-from dsim.steppers import ForwardEuler, SymplecticEuler
+from dsim.steppers import BackwardEuler, ForwardEuler, SymplecticEuler
 from dsim.steppers import explicit_run as fast
 
 EXPLICIT = [s for s in catalog.STEPPERS if not s.implicit]
@@ -53,19 +53,41 @@ def test_rows_of_an_effect_are_its_force_and_vjp(example):
     rng = np.random.default_rng(3)
     system = System(rng.uniform(0.5, 2.0, 5), example.make(rng, 5, 3), 3)
     effect = system.effects[0]
-    rows = effect.rows() if getattr(effect, "rows", None) is not None else PlainRows(effect)
+    made = effect.rows() if getattr(effect, "rows", None) is not None else PlainRows(effect)
     x, v, w, out = rng.normal(size=(4, 3, 5))
     flat = [a.T.ravel() for a in (x, v, w)]
-    saved, before = tuple(np.empty(shape) for shape in rows.saves), out.copy()
-    rows.add_force(0.03, x, v, out, saved)
+    saved, before = tuple(np.empty(shape) for shape in made.saves), out.copy()
+    made.add_force(0.03, x, v, out, saved)
     assert np.allclose((out - before).T.ravel(), effect.force(0.03, *flat[:2]), rtol=1e-13, atol=1e-13)
     theta_bar, expected = np.zeros((2, system.parameter_count))
     by_q, by_v = system.vjp(0.03, *flat, expected)
     views = [theta_bar[p.place].reshape(p.shape) for p in system.layout[0]]
     pulled = np.zeros((2, 3, 5))
-    rows.add_vjp(0.03, (x, v), w, (*pulled, *views), saved)
+    made.add_vjp(0.03, (x, v), w, (*pulled, *views), saved)
     for found, true in ((pulled[0].T.ravel(), by_q), (pulled[1].T.ravel(), by_v), (theta_bar, expected)):
         assert np.allclose(found, true, rtol=1e-12, atol=1e-12)
+
+
+@pytest.mark.parametrize("dimension", [1, 2, 3])
+def test_both_scatters_agree(dimension):
+    rng = np.random.default_rng(2)
+    pairs, shape = rng.integers(0, 7, (20, 2)), (dimension, 7)
+    values = rng.normal(size=(dimension, 20))
+    expected = np.zeros(shape)
+    for e, (i, j) in enumerate(pairs):
+        expected[:, i] += values[:, e]
+        expected[:, j] -= values[:, e]
+    for make in (rows._sparse_ends, rows._counted_ends):
+        assert np.allclose(make(pairs, shape)(values), expected, rtol=0, atol=1e-14)
+
+
+def test_many_springs_take_the_sparse_scatter(monkeypatch):
+    """The other scatter, with equal results."""
+    system, y0 = net(3)
+    plain = simulate(SymplecticEuler(), system, y0, 0.01, 20).y
+    monkeypatch.setattr(rows, "FEW", 0)
+    monkeypatch.setattr(rows, "_counted_ends", None)
+    assert np.allclose(simulate(SymplecticEuler(), system, y0, 0.01, 20).y, plain, rtol=0, atol=1e-12)
 
 
 def test_coincident_ends_feel_no_force_on_either_path():
@@ -80,6 +102,19 @@ def test_the_step_that_overflows_is_named(steps):
     run = record(ForwardEuler(), system, [1.0, 0.0], 0.01, steps)
     assert len(run.t) - 1 == 151 and (run.status is Status.CONVERGED) == (steps == 151)
     assert np.isfinite(run.y).all() and run.counters.forces == min(steps, 152)
+
+
+def test_the_last_state_and_its_load_need_no_rows_of_the_others():
+    """`last` is y[-1], the load of the last state alone is a load of zeros before it; also without a step."""
+    system, y0 = net(2)
+    for steps in (0, 7):
+        for stepper in (SymplecticEuler(), BackwardEuler()):
+            run = simulate(stepper, system, y0, 0.01, steps)
+            assert np.array_equal(run.last, run.y[-1])
+            load = np.zeros_like(run.y)
+            load[-1] = np.random.default_rng(4).normal(size=system.size)
+            full, short = adjoint(run, load), adjoint(run, load[-1])
+            assert np.array_equal(full.y0, short.y0) and np.array_equal(full.theta, short.theta)
 
 
 def test_a_tape_beyond_its_budget_is_not_kept_and_the_gradient_is_the_same(monkeypatch):

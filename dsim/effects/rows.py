@@ -7,6 +7,7 @@ these; any other is wrapped in `PlainRows`.  A test holds each against the plain
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, Protocol
 
 import numpy as np
@@ -80,23 +81,12 @@ class SpringRows:
     """
 
     def __init__(self, pairs: NDArray[np.int64], rest: Array, stiffness: Array, shape: tuple[int, int]) -> None:
-        d, points = shape
+        d, _ = shape
         self.rest, self.stiffness, self.preload = rest, stiffness, stiffness * rest
         self.behind, self.ahead = (np.ascontiguousarray(column) for column in pairs.T)
-        self.ends = self._incidence(d, points, len(pairs))
+        self.to_ends = _sparse_ends(pairs, shape) if len(pairs) > FEW else _counted_ends(pairs, shape)
         self.saves = ((d, len(pairs)), (len(pairs),))
         self.work, self.other, self.scale = np.empty(self.saves[0]), np.empty(self.saves[0]), np.empty(len(pairs))
-
-    def _incidence(self, d: int, points: int, edges: int) -> Any:
-        """(d N, d E): +1 where an edge begins, -1 where it ends; int32 indices halve the traffic."""
-        from scipy.sparse import csr_array
-
-        ones, columns, row = np.ones(d * edges), np.arange(d * edges), np.arange(d)[:, None] * points
-        ends = [(row + self.behind).ravel(), (row + self.ahead).ravel()]
-        places = (np.concatenate(ends), np.concatenate([columns, columns]))
-        matrix = csr_array((np.concatenate([ones, -ones]), places), shape=(d * points, d * edges))
-        matrix.indices, matrix.indptr = matrix.indices.astype(np.int32), matrix.indptr.astype(np.int32)
-        return matrix
 
     def _edges(self, rows: Array, out: Array) -> None:
         """Row values at the end of every edge minus those at its beginning."""
@@ -115,7 +105,7 @@ class SpringRows:
         np.multiply(self.preload, inverse, out=self.scale)
         np.subtract(self.stiffness, self.scale, out=self.scale)  # k (1 - l0/l)
         np.multiply(edge, self.scale, out=self.work)
-        out += (self.ends @ self.work.reshape(-1)).reshape(out.shape)
+        out += self.to_ends(self.work)
 
     def add_vjp(self, t: float, place: tuple[Array, Array], w: Array, bars: Any, saved: tuple[Array, ...]) -> None:
         (edge, inverse), (x_bar, _, rest, stiffness) = saved, bars
@@ -135,7 +125,38 @@ class SpringRows:
         np.multiply(u, scale, out=u)
         np.multiply(edge, along, out=self.other)
         np.add(u, self.other, out=u)
-        x_bar += (self.ends @ u.reshape(-1)).reshape(x_bar.shape)
+        x_bar += self.to_ends(u)
+
+
+FEW = 1200  # edges up to which a scatter without SciPy is as quick; its import would cost a quarter of a second
+
+Scatter = Callable[[Array], Array]  # (d,E) -> (d,N): plus where an edge begins, minus where it ends
+
+
+def _sparse_ends(pairs: NDArray[np.int64], shape: tuple[int, int]) -> Scatter:
+    """By a sparse matrix (d N, d E) of +1 and -1; int32 indices halve the traffic."""
+    from scipy.sparse import csr_array
+
+    d, points = shape
+    ones, columns, row = np.ones(d * len(pairs)), np.arange(d * len(pairs)), np.arange(d)[:, None] * points
+    places = (np.concatenate([(row + end).ravel() for end in pairs.T]), np.concatenate([columns, columns]))
+    matrix = csr_array((np.concatenate([ones, -ones]), places), shape=(d * points, len(columns)))
+    matrix.indices, matrix.indptr = matrix.indices.astype(np.int32), matrix.indptr.astype(np.int32)
+    return lambda values: np.asarray(matrix @ values.reshape(-1)).reshape(shape)
+
+
+def _counted_ends(pairs: NDArray[np.int64], shape: tuple[int, int]) -> Scatter:
+    """By weighted counts."""
+    d, points = shape
+    places = np.concatenate([(np.arange(d)[:, None] * points + end).ravel() for end in pairs.T])
+
+    def scatter(values: Array) -> Array:
+        flat = values.reshape(-1)
+        weights = np.concatenate([flat, -flat])
+        total: Any = np.bincount(places, weights, minlength=d * points)
+        return np.asarray(total.reshape(shape))
+
+    return scatter
 
 
 class PlainRows:
