@@ -30,7 +30,7 @@ from dsim.studies import hard_cases, problems
 from dsim.studies.convergence import OrderProblem, leaf_in_river, pendulum_in_wind
 from dsim.studies.derivatives import EffectExample
 from dsim.studies.hard_cases import HardCase
-from dsim.studies.reference import DOP853, RADAU, Reference
+from dsim.studies.reference import DOP853, LSODA, RADAU, Reference
 
 
 def _ring(points: int) -> list[tuple[int, int]]:
@@ -105,7 +105,7 @@ STEPPERS: tuple[RuleStepper, ...] = (
 
 ORDER_PROBLEMS: tuple[Callable[[], OrderProblem], ...] = (pendulum_in_wind, leaf_in_river)
 
-REFERENCES: tuple[Reference, ...] = (DOP853, RADAU)
+REFERENCES: tuple[Reference, ...] = (DOP853, RADAU, LSODA)
 
 PROBLEMS: tuple[Callable[[], problems.Problem], ...] = (
     problems.projectile,

@@ -98,6 +98,7 @@ def plan(
     h: Annotated[float | None, typer.Option("--h", help="Another step size, s.")] = None,
     gradient: Annotated[bool, typer.Option("--gradient", help="Plan for a gradient too.")] = False,
     pay_back: Annotated[bool, typer.Option("--pay-back", help="What each effect costs and changes.")] = False,
+    to: Annotated[Path | None, typer.Option("--to", help="Draw the pay-back (.png, .svg).", metavar="FILE")] = None,
 ) -> None:
     """What a run evaluates, what stays off and why, and what it really took.
 
@@ -110,10 +111,12 @@ def plan(
     `dsim plan pendulum_stiff --stepper SymplecticEuler` - warns: h w_max is beyond the limit
 
     `dsim plan soft_body --pay-back` - what each effect costs, and what it changes
+
+    `dsim plan soft_body --to pay_back.png` - the same as a picture
     """
     from dsim.report import showing
 
-    raise typer.Exit(showing.planned(showing.prepared(scene, stepper, h), gradient, pay_back))
+    raise typer.Exit(showing.planned(showing.prepared(scene, stepper, h), gradient, pay_back, to))
 
 
 @app.command()

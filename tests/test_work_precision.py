@@ -288,9 +288,15 @@ def test_the_v_of_differences():
 # The command
 
 
+def test_referees_of_every_problem_are_two_unrelated_references_of_the_catalog():
+    for build in catalog.PROBLEMS:
+        one, two = build().references
+        assert one.method != two.method and {one, two} <= set(catalog.REFERENCES)
+
+
 def test_the_command_writes_everything_and_resumes(tmp_path, monkeypatch):
     monkeypatch.setattr(report, "QUICK", Sweep(2, 1, rounds=1))
-    monkeypatch.setattr(report, "METHODS", (RK4(), BackwardEuler(), DOP853))
+    monkeypatch.setattr(report, "methods", lambda problem: (RK4(), BackwardEuler(), DOP853))
     arguments = ["accuracy", "projectile", "--quick", "--to", str(tmp_path / "out")]
     first = CliRunner().invoke(app, arguments)
     assert first.exit_code == 0, first.output

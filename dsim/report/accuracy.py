@@ -36,7 +36,11 @@ from dsim.studies.work_precision import (
 )
 
 QUICK_PROBLEMS = ("projectile", "pendulum")  # the others when they are named
-METHODS: tuple[Method, ...] = (*catalog.STEPPERS, *catalog.REFERENCES)
+
+
+def methods(problem: problems.Problem) -> tuple[Method, ...]:
+    """All steppers, and the problem's references."""
+    return (*catalog.STEPPERS, *problem.references)
 
 
 def select(names: Sequence[str]) -> tuple[problems.Problem, ...]:
@@ -59,7 +63,7 @@ def run(names: Sequence[str], to: Path, *, quick: bool = False, fresh: bool = Fa
         task = bar.add_task("", total=sum(_cells(p, sweep) for p in chosen))
         for problem in chosen:
             show = partial(_show, bar, task)
-            study = work_precision(problem, METHODS, sweep, store, show)
+            study = work_precision(problem, methods(problem), sweep, store, show)
             studies.append(study)
             bar.update(task, completed=sum(len(study.cells) for study in studies))
             for kind in ("png", "svg"):
@@ -87,7 +91,7 @@ def _show(bar: Progress, task: TaskID, text: str) -> None:
 
 
 def _cells(problem: problems.Problem, sweep: Sweep) -> int:
-    return sum(len(sweep.settings(problem, method)) for method in METHODS)
+    return sum(len(sweep.settings(problem, method)) for method in methods(problem))
 
 
 def _curves(to: Path, steps: int) -> None:
@@ -154,7 +158,7 @@ def accuracy(progress: model.Progress, full: bool = False) -> Section:
     found: list[Table] = []
     drawn: list[Picture] = []
     for problem in chosen:
-        study = work_precision(problem, METHODS, QUICK if full else COUNTED, None, progress)
+        study = work_precision(problem, methods(problem), QUICK if full else COUNTED, None, progress)
         found += tables(study)
         checks += study_checks(study)
         alt = f"Error of state and gradient over {study.unit} for {len(study.methods)} methods on {study.problem}."

@@ -9,6 +9,7 @@ from dsim.report.accuracy import accuracy
 from dsim.report.environment import build_environment
 from dsim.report.hard_cases import hard_cases
 from dsim.report.model import SectionJob
+from dsim.report.plans import plans, speed
 
 
 def jobs(full: bool = False) -> tuple[SectionJob, ...]:
@@ -21,6 +22,8 @@ def jobs(full: bool = False) -> tuple[SectionJob, ...]:
         SectionJob("derivatives", "Forces and their derivatives", partial(derivations.derivatives, full=full)),
         SectionJob("newton", "Newton's method", methods.newton),
         SectionJob("hard-cases", "Hard cases: the naive method and one that survives", partial(hard_cases, full=full)),
+        SectionJob("plans", "Only the effects a scene calls for", plans),
+        SectionJob("speed", "How the cost of a run grows", partial(speed, full=full)),
         SectionJob("verdicts", "Verdicts on gradients", methods.verdicts),
         SectionJob("environment", "Machine and arithmetic", build_environment),
     )

@@ -10,6 +10,7 @@ import numpy as np
 
 from dsim import catalog
 from dsim.pictures import animation
+from dsim.pictures import plan as plan_pictures
 from dsim.pictures import scene as pictures
 from dsim.pictures.style import save
 from dsim.planning import plan
@@ -108,8 +109,13 @@ def _check_suffix(name: str, path: Path, known: tuple[str, ...]) -> None:
         raise ValueError(f"{name} must end in {', '.join(known)}; got {path}")
 
 
-def planned(scene: Scene, gradient: bool = False, pay_back: bool = False) -> int:
-    """Print the plan of a scene and what the run took; the exit code: 1 where the plan warns or the run fails."""
+def planned(scene: Scene, gradient: bool = False, pay_back: bool = False, to: Path | None = None) -> int:
+    """Print the plan of a scene and what the run took; the exit code: 1 where the plan warns or the run fails.
+
+    to: draw the pay-back there.
+    """
+    if to is not None:
+        _check_suffix("--to", to, FILMSTRIPS)
     made = plan(scene.system, scene.stepper, scene.y0, scene.h, ("gradient",) if gradient else ())
     out, err = console(), console(stderr=True)
     out.print(str(made), markup=False, soft_wrap=True)
@@ -119,10 +125,14 @@ def planned(scene: Scene, gradient: bool = False, pay_back: bool = False) -> int
     failed = trajectory.status is not Status.CONVERGED
     if failed:
         err.print(explain(trajectory), style="red", markup=False, soft_wrap=True)
-    if pay_back and not failed:
+    if (pay_back or to is not None) and not failed:
         with waiting(err, "leaving out one effect after another"):
             rows = effect_cost.pay_back(scene)
         out.print(f"{'effect':18s} {'time with/without':>18s} {'change when left out':>21s}", markup=False)
         for row in rows:
-            out.print(f"{row.effect:18s} {row.cost:18.2f} {row.change:20.1%} ", markup=False)
+            change = f"{row.change:.1%}" if np.isfinite(row.change) else "fails without"
+            out.print(f"{row.effect:18s} {row.cost:18.2f} {change:>21s}", markup=False)
+        if to is not None:
+            save(plan_pictures.pay_back(scene.name, rows), to)
+            out.print(f"wrote {to}", markup=False, soft_wrap=True)
     return int(failed or bool(made.warnings))

@@ -36,6 +36,9 @@ class Reference:
 
 DOP853 = Reference("DOP853")
 RADAU = Reference("Radau")
+LSODA = Reference(
+    "LSODA"
+)  # multistep; at 1e-12 a hundred times quicker than Radau where the order of five is the limit
 
 
 def certified(system: System | Flow, y0: Array, times: Array) -> tuple[Array, float]:
