@@ -11,6 +11,8 @@ README = Path(__file__).parent.parent / "README.md"
 TEXT = README.read_text()
 BLOCKS = re.findall(r"```python\n(.*?)```", TEXT, flags=re.S)
 
+EFFECT = next(block for block in BLOCKS if "trap" in block)
+
 
 def test_tables_are_those_of_the_catalog():
     assert updated(TEXT) == TEXT, "run: python -m dsim.report.readme"
@@ -33,7 +35,7 @@ def test_ten_lines_are_ten():
 
 
 def test_the_effect_is_checked(capsys):
-    exec(BLOCKS[2], {"__name__": "readme"})
+    exec(EFFECT, {"__name__": "readme"})
     lines = capsys.readouterr().out.splitlines()
     assert len(lines) >= 8 and all(line.startswith("pass  trap ") and len(line) <= 80 for line in lines)
     quoted = re.search(r"```text\n(.*?)```", TEXT, flags=re.S).group(1).splitlines()
@@ -42,9 +44,16 @@ def test_the_effect_is_checked(capsys):
 
 
 def test_the_effect_without_its_derivative_is_red(capsys):
-    source = re.sub(r"    def dq.*?(?=    def dtheta)", "", BLOCKS[2], flags=re.S)
+    source = re.sub(r"    def dq.*?(?=    def dtheta)", "", EFFECT, flags=re.S)
     exec(source, {"__name__": "readme"})
     assert "FAIL  trap 2-D: dq of the force" in capsys.readouterr().out
+
+
+def test_a_method_of_ones_own_is_put_on_the_plane(capsys):
+    block = next(block for block in BLOCKS if "class Heun" in block)
+    exec(block, {"__name__": "readme"})
+    found = re.fullmatch(r"order (\S+); cheapest for 1e-6: RK4\n", capsys.readouterr().out)
+    assert found and abs(float(found[1]) - 2) < 0.1
 
 
 def test_the_quoted_stepper_is_the_real_one():

@@ -231,9 +231,9 @@ class Sweep:
     """How finely and how often to measure.  levels: step sizes, each half of the one before; implicit steppers, whose
     steps cost ten times as much, take `costly` of them."""
 
-    levels: int = 8
+    levels: int = 7
     costly: int = 6
-    rounds: int = 3  # ABBA rounds; 0: nothing is timed, and counts are the cost
+    rounds: int = 2  # ABBA rounds; 0: nothing is timed, and counts are the cost
 
     def settings(self, problem: Problem, method: Method) -> tuple[float, ...]:
         """Step counts, or tolerances."""
