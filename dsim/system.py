@@ -165,7 +165,10 @@ class System:
         """f (n,) N, the sum over all effects (pinned points included: their sum is the pins' load)."""
         total = np.zeros(self.n)
         for effect in self.effects:
-            total += effect.force(t, q, v)
+            force = effect.force(t, q, v)
+            if np.shape(force) != total.shape:
+                raise ValueError(f"force of {effect.name!r} must return shape {total.shape}; got {np.shape(force)}")
+            total += force
         return total
 
     @property

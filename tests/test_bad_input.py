@@ -276,7 +276,8 @@ REFUSED = {
         for stepper in (SymplecticEuler(), VelocityVerlet(), TwoStepBackwardEuler())
     },
     # gradients and Newton
-    "dJdy shape": (lambda: adjoint(march(), np.zeros(8)), "dJdy must have shape (3, 8); got (8,)"),
+    "dJdy shape": (lambda: adjoint(march(), np.zeros(7)), "dJdy must have shape (3, 8), or (8,) *; got (7,)"),
+    "dJdy rows": (lambda: adjoint(march(), np.zeros((2, 8))), "dJdy must have shape (3, 8), or (8,) *; got (2, 8)"),
     "dJdy nan": (lambda: adjoint(march(), np.full((3, 8), NAN)), "dJdy must be finite; got nan at index (0, 0)"),
     "newton tol": (lambda: solve(tol=0), "tol must be > 0; got 0.0"),
     "newton z0": (lambda: solve(z0=[NAN]), "z0 must be finite; got nan at index 0"),
@@ -538,3 +539,19 @@ def test_an_interrupted_save_leaves_the_old_file(saved, monkeypatch, interruptio
     monkeypatch.undo()
     assert path.read_bytes() == before and (Trajectory.load(path).y == trajectory.y).all()
     assert [file.name for file in path.parent.iterdir()] == ["run.npz"]  # nothing half-written is left
+
+
+@pytest.mark.parametrize("method", [SymplecticEuler(), BackwardEuler()])
+@pytest.mark.parametrize("value", [1.0, np.ones(1), np.ones((2, 2))])
+def test_a_force_of_another_shape_is_named(method, value):
+    """It would be broadcast otherwise."""
+
+    class Push:
+        name = "push"
+
+        def force(self, t, q, v):
+            return value
+
+    system = System([1.0, 1.0], Push(), 2)
+    with pytest.raises(ValueError, match=r"force of 'push' must return shape \(4,\); got"):
+        simulate(method, system, np.zeros(8), 0.1, 1)

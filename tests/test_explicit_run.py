@@ -59,6 +59,8 @@ def test_rows_of_an_effect_are_its_force_and_vjp(example):
     saved, before = tuple(np.empty(shape) for shape in made.saves), out.copy()
     made.add_force(0.03, x, v, out, saved)
     assert np.allclose((out - before).T.ravel(), effect.force(0.03, *flat[:2]), rtol=1e-13, atol=1e-13)
+    if hasattr(made, "constant"):
+        assert np.array_equal(out - before, (before + made.constant) - before)
     theta_bar, expected = np.zeros((2, system.parameter_count))
     by_q, by_v = system.vjp(0.03, *flat, expected)
     views = [theta_bar[p.place].reshape(p.shape) for p in system.layout[0]]

@@ -20,6 +20,7 @@ class Rows(Protocol):
     """A bound effect on coordinate rows."""
 
     saves: tuple[tuple[int, ...], ...]  # shapes of what `add_force` leaves for `add_vjp`
+    # `constant` (d,N), where an effect has it, is its force at any time and state: `add_force` is not called then
 
     def add_force(self, t: float, x: Array, v: Array, out: Array, saved: tuple[Array, ...]) -> None:
         """out (d,N) += force.  `saved` arrays are filled."""
@@ -37,10 +38,10 @@ class GravityRows:
 
     def __init__(self, mass: Array, acceleration: Array) -> None:
         self.mass, self.acceleration = mass, acceleration
-        self.weight = np.outer(acceleration, mass)
+        self.constant = np.outer(acceleration, mass)
 
     def add_force(self, t: float, x: Array, v: Array, out: Array, saved: tuple[Array, ...]) -> None:
-        out += self.weight
+        out += self.constant
 
     def add_vjp(self, t: float, place: tuple[Array, Array], w: Array, bars: Any, saved: tuple[Array, ...]) -> None:
         _, _, mass, acceleration = bars
@@ -56,12 +57,16 @@ class DragRows:
     def __init__(self, coefficient: Array, wind: Array | None) -> None:
         self.coefficient = coefficient
         self.wind = None if wind is None else wind[:, None]
+        self.push = np.empty(0)  # scratch (d,N)
 
     def _slip(self, v: Array) -> Array:
         return v if self.wind is None else v - self.wind
 
     def add_force(self, t: float, x: Array, v: Array, out: Array, saved: tuple[Array, ...]) -> None:
-        out -= self.coefficient * self._slip(v)
+        if self.push.shape != v.shape:
+            self.push = np.empty(v.shape)
+        np.multiply(self.coefficient, self._slip(v), out=self.push)
+        out -= self.push
 
     def add_vjp(self, t: float, place: tuple[Array, Array], w: Array, bars: Any, saved: tuple[Array, ...]) -> None:
         _, v_bar, coefficient, *wind = bars
@@ -168,7 +173,11 @@ class PlainRows:
         self.effect = effect
 
     def add_force(self, t: float, x: Array, v: Array, out: Array, saved: tuple[Array, ...]) -> None:
-        out += self.effect.force(t, x.T.ravel(), v.T.ravel()).reshape(out.shape[::-1]).T
+        force = self.effect.force(t, x.T.ravel(), v.T.ravel())
+        if np.shape(force) != (out.size,):
+            name = self.effect.name
+            raise ValueError(f"force of {name!r} must return shape {(out.size,)}; got {np.shape(force)}")
+        out += force.reshape(out.shape[::-1]).T
 
     def add_vjp(self, t: float, place: tuple[Array, Array], w: Array, bars: Any, saved: tuple[Array, ...]) -> None:
         q, v = (rows.T.ravel() for rows in place)

@@ -33,8 +33,11 @@ def adjoint(trajectory: Trajectory, dJdy: Any) -> Gradient:
     """
     stepper, system = trajectory.attached()
     steps = len(trajectory.t) - 1
-    final = np.ndim(dJdy) == 1
-    dJdy = as_array("dJdy", dJdy, (system.size,) if final else (steps + 1, system.size))
+    dJdy = as_array("dJdy", dJdy)
+    if dJdy.shape not in ((steps + 1, system.size), (system.size,)):
+        last = f"({system.size},) for the last state alone"
+        raise ValueError(f"dJdy must have shape {(steps + 1, system.size)}, or {last}; got {dJdy.shape}")
+    final = dJdy.ndim == 1
     by_first = dJdy if final and steps == 0 else 0.0 if final else dJdy[0]
     if trajectory.run is not None:
         with np.errstate(divide="ignore"):  # 1/l of coincident ends, set to 0 by the springs

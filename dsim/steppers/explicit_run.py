@@ -60,6 +60,13 @@ class ExplicitRun:
         system = self.system
         self.shape = (system.dimension, len(system.mass))
         self._rows = [rows_of(effect) for effect in system.effects]
+        self._constant = np.zeros(self.shape)  # forces that are the same at any time and state, summed once
+        self._forces = []  # the others, with their places in what is saved
+        for place, rows in enumerate(self._rows):
+            if (constant := getattr(rows, "constant", None)) is not None:
+                self._constant += constant
+            else:
+                self._forces.append((place, rows.add_force))
         self._scale = (system.free / system.masses).reshape(self.shape[::-1]).T.copy()  # M^-1, 0 at pins
         scratch = self._tape(1)
         self._scratch = [scratch.at(0, s) for s in range(self.stages)]
@@ -84,9 +91,10 @@ class ExplicitRun:
     def rate(self, t: float, place: tuple[Array, Array], out: Array, saved: Saved) -> Array:
         """out = M^-1 f on rows."""
         self.evaluations += 1
-        out.fill(0.0)
-        for rows, kept in zip(self._rows, saved, strict=True):
-            rows.add_force(t, *place, out, kept)
+        np.copyto(out, self._constant)
+        x, v = place
+        for effect, add_force in self._forces:
+            add_force(t, x, v, out, saved[effect])
         out *= self._scale
         return out
 
