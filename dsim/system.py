@@ -254,27 +254,13 @@ class System:
 
         Dense where a dense factorization is quicker, else CSR.
         """
-        where = (t, *place)
-        if self.n > DENSE_SIZE:
-            return self._sparse_stage_matrix(where, weights)
-        matrix = np.diag(self.masses)
-        for weight, capability in zip(weights, ("dq", "dv"), strict=True):
-            for effect in self.having(capability) if weight else ():
-                matrix -= weight * getattr(effect, capability)(*where).toarray()
-        if self.fixed:
-            pinned = self.free == 0
-            matrix[pinned] = matrix[:, pinned] = 0.0
-            matrix[pinned, pinned] = self.masses[pinned]
-        return matrix
-
-    def _sparse_stage_matrix(self, where: tuple[Any, ...], weights: tuple[float, float]) -> csr_array:
         terms = [(1.0, diagonal(self.masses))]
         for weight, capability in zip(weights, ("dq", "dv"), strict=True):
             for effect in self.having(capability) if weight else ():
-                terms.append((-weight, getattr(effect, capability)(*where)))
+                terms.append((-weight, getattr(effect, capability)(t, *place)))
         factors, matrices = zip(*terms, strict=True)
-        pattern = self._stage_pattern(weights, matrices)
-        return pattern.total(factors, matrices, (1 - self.free) * self.masses)
+        total = self._stage_pattern(weights, matrices).total(factors, matrices, (1 - self.free) * self.masses)
+        return total if self.n > DENSE_SIZE else total.toarray()
 
     def _stage_pattern(self, weights: tuple[float, float], matrices: Sequence[csr_array]) -> SumPattern:
         """The pattern of M - b K - c D, found once and shared by all copies of this system."""
@@ -284,7 +270,9 @@ class System:
         return self.patterns[key]
 
     def stage_band(self, weights: tuple[float, float]) -> Band | None:
-        """Where the last sparse `stage_matrix` lies in a band, if it is symmetric and the band is worth storing."""
+        """Where the last `stage_matrix` lies in a band, if it is sparse, symmetric, and the band is worth storing."""
+        if self.n <= DENSE_SIZE:
+            return None
         pattern = self.patterns.get(tuple(weight != 0 for weight in weights))
         used = {effect for name, w in zip(("dq", "dv"), weights, strict=True) if w for effect in self.having(name)}
         if pattern is None or not all(getattr(effect, "symmetric", False) for effect in used):
