@@ -59,6 +59,14 @@ class Trajectory:
         return self.run.public_states()
 
     @property
+    def tape_bytes(self) -> int:
+        """Memory held for the way back: states, and what the run kept beside them."""
+        if self.run is not None:
+            return self.run.nbytes
+        steps = self.steps or ()
+        return self.y.nbytes + sum(s.factor_bytes + sum(k.nbytes for k in s.rates or ()) for s in steps)
+
+    @property
     def last(self) -> Array:
         """The last state y_N (ny,), without making rows of the others."""
         return self.run.last() if self.states is None and self.run is not None else self.y[-1]

@@ -119,6 +119,16 @@ def test_the_last_state_and_its_load_need_no_rows_of_the_others():
             assert np.array_equal(full.y0, short.y0) and np.array_equal(full.theta, short.theta)
 
 
+def test_the_bytes_held_for_the_way_back_are_counted():
+    system, y0 = net(2)
+    states, tape = (simulate(SymplecticEuler(), system, y0, 0.01, 20, keep=keep) for keep in ("states", "steps"))
+    assert states.tape_bytes == states.y.nbytes
+    edges, unit = 8, 8  # springs; bytes a number
+    assert tape.tape_bytes - states.tape_bytes == 20 * unit * (edges * (2 + 1) + 2 * 6)  # edges, 1/l, rates
+    implicit = simulate(BackwardEuler(), system, y0, 0.01, 20, keep="steps")
+    assert implicit.tape_bytes == implicit.y.nbytes + 20 * unit * system.n
+
+
 def test_a_tape_beyond_its_budget_is_not_kept_and_the_gradient_is_the_same(monkeypatch):
     system, y0 = net(2)
     runs = [simulate(SymplecticEuler(), system, y0, 0.01, 20, keep="steps")]

@@ -38,7 +38,9 @@ def _panel(axes: Axes, panel: Panel) -> None:
         axes.text(
             0.0, -0.17, panel.note, transform=axes.transAxes, ha="left", va="top", fontsize=10, color="#57606a",
         )  # fmt: skip
-    if panel.curves:
+    if any(curve.points for curve in panel.curves):  # points fill a panel: the legend stands below it
+        axes.legend(loc="upper right", bbox_to_anchor=(1.0, -0.12), ncols=2, fontsize=9)
+    elif panel.curves:
         axes.legend(loc="best", fontsize=9)
 
 

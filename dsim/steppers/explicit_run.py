@@ -75,15 +75,29 @@ class ExplicitRun:
     def tableau(self) -> Tableau:
         return tableau_of(self.stepper.rule, self.stepper.form, 2, self.h)
 
-    @property
+    @cached_property
     def stages(self) -> int:
-        """Rates a step."""
-        return len(self.tableau.stages)
+        """Rates a step, counted on zeros: a rule need not be one that `tableau` can read to be run."""
+        asked: list[float] = []
+        zero = np.zeros(1)
+
+        def rate(t: float, *place: Array) -> Array:
+            asked.append(t)
+            return np.zeros_like(place[0])
+
+        state = ({0: zero}, {0: zero}) if self.stepper.form == 2 else ({0: np.zeros((2, 1))},)
+        self.stepper.rule(*state, rate, 0.0, self.h)
+        return len(asked)
 
     def tape_bytes(self, steps: int) -> int:
         """Size of the tape of so many steps."""
         numbers = sum(int(np.prod(shape)) for rows in self._rows for shape in rows.saves)
         return 8 * steps * self.stages * (numbers + self.shape[0] * self.shape[1])
+
+    @property
+    def nbytes(self) -> int:
+        """Of states and tape."""
+        return int(self.states.nbytes) + (self.tape_bytes(len(self.states) - 1) if self.tape is not None else 0)
 
     def _tape(self, steps: int) -> Tape:
         return Tape(steps, self.stages, self.shape, self._rows)

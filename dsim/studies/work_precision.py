@@ -354,7 +354,7 @@ def measure(problem: Problem, method: Method, setting: float) -> Cell:
     if isinstance(method, Reference):
         return _measure_reference(problem, replace(method, rtol=setting))
     steps = int(setting)
-    run = record(method, problem.system, problem.y0, problem.duration / steps, steps)
+    run = record(method, problem.system, problem.y0, problem.duration / steps, steps, keep="steps")
     status, error, slope_error, drift = str(run.status), np.inf, np.inf, np.inf
     if run.status is Status.CONVERGED:
         error = problem.state_error(run.t, run.y)
@@ -364,7 +364,7 @@ def measure(problem: Problem, method: Method, setting: float) -> Cell:
         slope_error = problem.gradient_error(gradient, problem.truth().gradient)
         drift = max(problem.drift(run.t, run.y).values(), default=float("nan"))
     error = error if status == Status.CONVERGED else np.inf
-    counts = asdict(run.counters)
+    counts = asdict(run.counters) | {"tape_bytes": run.tape_bytes}
     return Cell(problem.name, name_of(method), run.h, steps, status, error, slope_error, drift, counts)
 
 
