@@ -35,6 +35,7 @@ from dsim.studies.work_precision import (
     work_precision,
 )
 
+ASYMPTOTIC = 0.999  # R^2 of a fit that deserves to be called an order
 QUICK_PROBLEMS = ("projectile", "pendulum")  # the others when they are named
 
 
@@ -119,6 +120,8 @@ def tables(study: Study) -> tuple[Table, Table]:
         finest = cells[-1]
         fit = study.order(method)
         order = f"{fit.order:.2f} +- {fit.standard_error:.2f}" if fit else ""
+        if fit and fit.r_squared < ASYMPTOTIC:
+            order = f"({fit.order:.1f})"
         failures = sum(cell.failed for cell in cells)
         best = [min(cell.error_of(quantity) for cell in cells) for quantity in QUANTITIES]
         cost = f"{finest.seconds:.2g}" if study.unit == "seconds" else str(finest.counts["forces"])
@@ -126,7 +129,8 @@ def tables(study: Study) -> tuple[Table, Table]:
     unit = "s" if study.unit == "seconds" else "forces"
     columns = ("method", "order", "state", "gradient", "drift", unit, "failed")
     band = f"; A/A control {study.band[0]:.2f} to {study.band[1]:.2f}" if study.unit == "seconds" else ""
-    first = Table(columns, tuple(rows), f"{study.problem}: smallest errors; drift and cost at the finest setting{band}")
+    words = f"smallest errors; drift and cost at the finest setting; (order): R^2 < {ASYMPTOTIC}, no power law yet"
+    first = Table(columns, tuple(rows), f"{study.problem}: {words}{band}")
     answers = []
     for target in TARGETS:
         row: list[model.Cell] = [f"{target:.0e}"]

@@ -297,11 +297,11 @@ def chain() -> Problem:
 
 @lru_cache(maxsize=1)
 def two_rates() -> Problem:
-    """Stiff: a slow oscillation with w about 1/s, and one of about 200/s that is hardly excited.
+    """Stiff: a slow oscillation with w about 1/s, and one of about 90/s that is hardly excited.
 
     A method either resolves the fast one, h w << 1, or must be content with its amplitude as error.
     """
-    return line("two-rates", np.ones(2), np.array([2.0, 2e4, 0.0]), (np.array([1.0, 1.0 + 1e-4]), np.zeros(2)), 3.7)
+    return line("two-rates", np.ones(2), np.array([2.0, 4e3, 0.0]), (np.array([1.0, 1.0 + 1e-4]), np.zeros(2)), 3.7)
 
 
 @lru_cache(maxsize=1)

@@ -15,6 +15,7 @@ import numpy as np
 
 CHUNK = 5e-3  # s; shorter runs are repeated within one reading of the clock
 SLOW = 0.1  # s; a run this long is timed in one ABBA round only
+LONG = 1.0  # s; a run this long is timed once: what disturbs it averages out within
 CONTROL, TWIN = "control A", "control A'"
 
 
@@ -40,18 +41,20 @@ def time_interleaved(
     A machine that slows down in between slows neighbours alike; what the ratio of two equal runs still shows is noise.
     """
     chosen = {CONTROL: control, **runs, TWIN: control}
-    counts, slow = {}, {}
+    counts, turns = {}, {}
     for name, run in chosen.items():
         start = time.perf_counter()
         run()
         once = time.perf_counter() - start
-        counts[name], slow[name] = max(1, int(np.ceil(CHUNK / max(once, 1e-7)))), once > SLOW
+        counts[name], turns[name] = max(1, int(np.ceil(CHUNK / max(once, 1e-7)))), 2 * max(1, rounds)
+        if once > SLOW and name not in (CONTROL, TWIN):
+            turns[name] = 1 if once > LONG else 2
     readings: dict[str, list[float]] = {name: [] for name in chosen}
     with one_thread(), without_collector():
         for turn in range(2 * max(1, rounds)):
             order = list(chosen) if turn % 2 == 0 else list(chosen)[::-1]
             for name in order:
-                if turn < 2 or not slow[name]:
+                if turn < turns[name]:
                     readings[name].append(_read(chosen[name], counts[name]))
     base, twin = np.array(readings[CONTROL]), np.array(readings[TWIN])
     ratios = twin / base
