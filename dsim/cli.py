@@ -227,7 +227,7 @@ def accuracy(
 
     **Examples**
 
-    `dsim accuracy` - every problem, some minutes
+    `dsim accuracy` - every problem: half an hour, and resumable
 
     `dsim accuracy kepler cloth --quick --to results` - two problems, a small sweep
     """

@@ -124,8 +124,8 @@ def tables(study: Study) -> tuple[Table, Table]:
             order = f"({fit.order:.1f})"
         failures = sum(cell.failed for cell in cells)
         best = [min(cell.error_of(quantity) for cell in cells) for quantity in QUANTITIES]
-        cost = f"{finest.seconds:.2g}" if study.unit == "seconds" else str(finest.counts["forces"])
-        rows.append((method, order, *(f"{e:.0e}" for e in best), f"{finest.drift:.0e}", cost, failures))
+        cost = _known(finest.seconds, ".2g") if study.unit == "seconds" else str(finest.counts["forces"])
+        rows.append((method, order, *(f"{e:.0e}" for e in best), _known(finest.drift, ".0e"), cost, failures))
     unit = "s" if study.unit == "seconds" else "forces"
     columns = ("method", "order", "state", "gradient", "drift", unit, "failed")
     band = f"; A/A control {study.band[0]:.2f} to {study.band[1]:.2f}" if study.unit == "seconds" else ""
@@ -140,6 +140,11 @@ def tables(study: Study) -> tuple[Table, Table]:
         answers.append(tuple(row))
     caption = f"{study.problem}: cheapest method for an error (=: not told apart by the control)"
     return first, Table(("error", "state", unit, "gradient", unit), tuple(answers), caption)
+
+
+def _known(value: float, form: str) -> str:
+    """The number, or nothing: a problem without invariants has no drift, a failed run no seconds."""
+    return "" if value != value else format(value, form)
 
 
 def lines(table: Table) -> Lines:
