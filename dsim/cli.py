@@ -99,6 +99,9 @@ def plan(
     gradient: Annotated[bool, typer.Option("--gradient", help="Plan for a gradient too.")] = False,
     pay_back: Annotated[bool, typer.Option("--pay-back", help="What each effect costs and changes.")] = False,
     to: Annotated[Path | None, typer.Option("--to", help="Draw the pay-back (.png, .svg).", metavar="FILE")] = None,
+    forbid: Annotated[
+        list[str] | None, typer.Option("--forbid", help="Leave this effect out; warns if it acts.", metavar="EFFECT")
+    ] = None,
 ) -> None:
     """What a run evaluates, what stays off and why, and what it really took.
 
@@ -113,10 +116,12 @@ def plan(
     `dsim plan soft_body --pay-back` - what each effect costs, and what it changes
 
     `dsim plan soft_body --to pay_back.png` - the same as a picture
+
+    `dsim plan cloth --forbid drag` - without one of its effects, and a warning that it would act
     """
     from dsim.report import showing
 
-    raise typer.Exit(showing.planned(showing.prepared(scene, stepper, h), gradient, pay_back, to))
+    raise typer.Exit(showing.planned(showing.prepared(scene, stepper, h), gradient, pay_back, to, tuple(forbid or ())))
 
 
 @app.command()

@@ -46,6 +46,7 @@ class Plan:
     y0: Array
     h: float
     want: tuple[str, ...] = ()
+    whole: System | None = None  # with the effects that were forbidden
 
     @property
     def rows(self) -> bool:
@@ -83,6 +84,13 @@ class Plan:
             yield Line("on", effect.name, f"{each}{self.predicted.forces} calls a step, {where}")
             if getattr(effect, "differenced", False):
                 yield Line("on", f"{effect.name} differences", "no Jacobian was given: 9 to 10 digits, extra calls")
+        for effect in self._forbidden():
+            yield Line("off", effect.name, "forbidden (take it out of forbid to have it)")
+
+    def _forbidden(self) -> tuple[Any, ...]:
+        """The effects that were left out on demand."""
+        kept = {effect.name for effect in getattr(self.system, "effects", ())}
+        return tuple(e for e in self.whole.effects if e.name not in kept) if self.whole else ()
 
     def _stages(self) -> Iterator[Line]:
         needs = self.implicit
@@ -124,6 +132,9 @@ class Plan:
         return f"the states; keep='factors': {size / 1e6:.3g} MB a step, up to {FACTOR_BYTES // size} steps"
 
     def _warnings(self) -> Iterator[Line]:
+        for effect in self._forbidden():
+            if self.whole is not None and (why := _acts(effect, self.whole, self.y0)):
+                yield Line("warn", f"no {effect.name}", why)
         limit = getattr(self.stepper, "frequency_limit", np.inf)
         if not isinstance(self.system, System) or not np.isfinite(limit):
             return
@@ -150,8 +161,12 @@ class Plan:
         return "\n".join(rows)
 
 
-def plan(system: Ode, stepper: Stepper, y0: Any, h: float, want: tuple[str, ...] = ()) -> Plan:
+def plan(
+    system: Ode, stepper: Stepper, y0: Any, h: float, want: tuple[str, ...] = (), forbid: tuple[str, ...] = ()
+) -> Plan:
     """What `simulate` would evaluate, and why the rest stays off.  want: ("gradient",) where one is asked for.
+
+    forbid: names of effects to leave out, with a warning where they act; `.system` is what is left to simulate.
 
     Raises ValueError on bad input.
 
@@ -169,7 +184,24 @@ def plan(system: Ode, stepper: Stepper, y0: Any, h: float, want: tuple[str, ...]
     for item in want:
         if item not in WANTS:
             raise ValueError(f"want must name some of {', '.join(WANTS)}; got {item!r}")
-    return Plan(system, stepper, as_array("y0", y0, (system.size,)), as_step(h), tuple(want))
+    y0, h = as_array("y0", y0, (system.size,)), as_step(h)
+    if not forbid:
+        return Plan(system, stepper, y0, h, tuple(want))
+    if not isinstance(system, System):
+        raise ValueError("forbid needs a System of masses with effects; a Flow has none")
+    return Plan(system.without(*forbid), stepper, y0, h, tuple(want), system)
+
+
+def _acts(effect: Any, system: System, y0: Array) -> str:
+    """What a forbidden effect would do: push at the start, or with any change of the state; "" for neither."""
+    place = system.blocks(y0)
+    force = float(np.abs(system.free * effect.force(0.0, *place)).max(initial=0.0))
+    if force > 0:
+        return f"it pushes with up to {force:.3g} N at the start"
+    for capability, what in (("dq", "position"), ("dv", "velocity")):
+        if getattr(effect, capability, None) is not None and abs(getattr(effect, capability)(0.0, *place)).sum() > 0:
+            return f"it pushes as soon as a {what} changes"
+    return ""
 
 
 def highest_frequency(system: System, y0: Array) -> float:

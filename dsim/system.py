@@ -148,6 +148,15 @@ class System:
             effects.append(replace(effect, **values) if values else effect)
         return _fresh(self, mass=mass, effects=tuple(effects))
 
+    def without(self, *names: str) -> System:
+        """The system with some effects left out.  Raises ValueError for a name it does not have."""
+        known = [effect.name for effect in self.effects]
+        for name in names:
+            if name not in known:
+                raise ValueError(f"no effect is called {name!r}; this system has {', '.join(known) or 'none'}")
+        rest = tuple(effect for effect in self.effects if effect.name not in names)
+        return System(self.mass, rest, self.dimension, self.fixed)
+
     def at(self, t: float, y: Array, h: float) -> System:
         """The system of one step: every effect with discrete choices makes them here."""
         if not any(hasattr(effect, "at") for effect in self.effects):

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from dsim import System, adjoint, catalog, plan, simulate
+from dsim import Flow, System, adjoint, catalog, plan, simulate
 from dsim.cli import app
 from dsim.effects import Drag, Field, Gravity, Springs
 from dsim.planning import highest_damping, highest_frequency
@@ -112,7 +112,7 @@ def test_an_unused_capability_leaves_every_bit(stepper):
 
 def test_a_particle_scene_loads_numpy_alone():
     program = (
-        "import sys; from dsim import System, adjoint, simulate; from dsim.effects import Drag, Gravity;"
+        "import sys; from dsim import Flow, System, adjoint, simulate; from dsim.effects import Drag, Gravity;"
         "from dsim.steppers import SymplecticEuler; import numpy as np;"
         "run = simulate(SymplecticEuler(), System([1.0], (Gravity([0, -9.8]), Drag(0.1)), 2), [0, 0, 1, 1], 0.1, 5);"
         "adjoint(run, np.ones_like(run.y));"
@@ -120,6 +120,28 @@ def test_a_particle_scene_loads_numpy_alone():
     )
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
+
+
+def test_a_forbidden_effect_is_left_out_with_a_warning_where_it_acts():
+    idle = Springs([(0, 1)], 1.0, 0.0, name="idle")
+    system = System([1.0, 1.0], [Gravity([0.0, -9.8]), Drag(0.3), idle], 2)
+    y0 = np.array([0.0, 0, 1, 0, 0, 0, 0, 0])
+    for name, words in (
+        ("gravity", "pushes with up to 9.8 N"),
+        ("drag", "as soon as a velocity changes"),
+        ("idle", ""),
+    ):
+        made = plan(system, SymplecticEuler(), y0, 0.1, forbid=(name,))
+        assert [e.name for e in made.system.effects] == [e.name for e in system.effects if e.name != name]
+        assert stages(made)[name].state == "off" and "forbid" in stages(made)[name].why
+        assert [line.stage for line in made.warnings] == ([f"no {name}"] if words else [])
+        assert words in str(made) and all(len(line) <= 80 for line in str(made).splitlines())
+    with pytest.raises(ValueError, match=r"no effect is called 'wind'; this system has gravity, drag, idle"):
+        plan(system, SymplecticEuler(), y0, 0.1, forbid=("wind",))
+    with pytest.raises(ValueError, match="forbid needs a System"):
+        plan(Flow(lambda t, y: -y, 1), SymplecticEuler(), [1.0], 0.1, forbid=("drag",))
+    result = CliRunner().invoke(app, ["plan", "projectile", "--forbid", "drag"])
+    assert result.exit_code == 1 and "no drag" in result.output and "forbidden" in result.output
 
 
 def test_pay_back_tells_cost_and_change():

@@ -109,14 +109,17 @@ def _check_suffix(name: str, path: Path, known: tuple[str, ...]) -> None:
         raise ValueError(f"{name} must end in {', '.join(known)}; got {path}")
 
 
-def planned(scene: Scene, gradient: bool = False, pay_back: bool = False, to: Path | None = None) -> int:
+def planned(
+    scene: Scene, gradient: bool = False, pay_back: bool = False, to: Path | None = None, forbid: tuple[str, ...] = ()
+) -> int:
     """Print the plan of a scene and what the run took; the exit code: 1 where the plan warns or the run fails.
 
     to: draw the pay-back there.
     """
     if to is not None:
         _check_suffix("--to", to, FILMSTRIPS)
-    made = plan(scene.system, scene.stepper, scene.y0, scene.h, ("gradient",) if gradient else ())
+    made = plan(scene.system, scene.stepper, scene.y0, scene.h, ("gradient",) if gradient else (), forbid)
+    scene = replace(scene, system=made.system)
     out, err = console(), console(stderr=True)
     out.print(str(made), markup=False, soft_wrap=True)
     with waiting(err, f"simulating {scene.name}"):
