@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from dsim.arrays.checks import Array, as_array, as_step
+from dsim.effects.rows import has_rows
 from dsim.solve.linear import DENSE_SIZE
 from dsim.steppers.explicit_run import applies
 from dsim.steppers.stepper import FACTOR_BYTES, Counters, Ode, Stepper
@@ -64,6 +65,8 @@ class Plan:
         start = self.stepper.start(system, 0.0, self.y0, self.h)
         if not self.implicit:
             return self.stepper.step(system, 0.0, start.y1, self.h).counters
+        if not getattr(self.system, "effects", True):
+            return Counters(forces=1)  # the guess, a free flight, is the answer
         return Counters(forces=2, jacobians=1, factorizations=1, solves=1, newton_iterations=1)
 
     @cached_property
@@ -80,7 +83,7 @@ class Plan:
             return
         each = "at least " if self.implicit else ""
         for effect in self.system.effects:
-            where = "in place" if self.rows and getattr(effect, "rows", None) is not None else "by its force"
+            where = "in place" if self.rows and has_rows(effect) else "by its force"
             yield Line("on", effect.name, f"{each}{self.predicted.forces} calls a step, {where}")
             if getattr(effect, "differenced", False):
                 yield Line("on", f"{effect.name} differences", "no Jacobian was given: 9 to 10 digits, extra calls")
@@ -119,6 +122,8 @@ class Plan:
         """The band of an implicit step's matrix, where it is symmetric and has one."""
         if not (self.implicit and isinstance(self.system, System)) or self.system.n <= DENSE_SIZE:
             return None
+        if getattr(self.stepper, "globalize", "") == "energy" and self.system.conservative:
+            return None  # descent directions come from a matrix made definite
         system, weights = self.system.at(0.0, self.y0, self.h), (self.h**2, self.h)
         system.stage_matrix(0.0, system.blocks(self.y0), weights)
         return system.stage_band(weights)
@@ -224,7 +229,7 @@ def _largest(system: System, matrix: Any) -> float:
 
     scale = diags_array(system.free / np.sqrt(system.masses))
     symmetric = csr_array(scale @ (matrix + matrix.T) @ scale) * 0.5
-    if not system.free.any():
+    if not symmetric.data.any():
         return 0.0
     if system.n <= DENSE_SIZE:
         return float(np.linalg.eigvalsh(symmetric.toarray())[-1])

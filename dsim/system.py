@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from dsim.arrays.checks import Array, Numbers, as_array, as_count, as_positive
 from dsim.arrays.frozen import replace
 from dsim.arrays.scatter import diagonal
-from dsim.effects.effect import Effect
+from dsim.effects.effect import Effect, current
 from dsim.effects.rows import products
 from dsim.solve.linear import DENSE_SIZE
 from dsim.solve.patterns import SumPattern
@@ -51,7 +51,7 @@ class System:
     fixed: Any = ()  # stored as a tuple of indices
     layout: tuple[tuple[_Parameter, ...], ...] = field(default=(), repr=False)  # one entry an effect
     free: Array = field(default_factory=lambda: np.empty(0), repr=False)  # (n,) 1, and 0 at pinned entries
-    patterns: dict[tuple[bool, ...], SumPattern] = field(default_factory=dict, repr=False)  # of stage matrices
+    patterns: dict[tuple[bool, ...], SumPattern] = field(default_factory=dict, init=False, repr=False)  # of stages
 
     def __post_init__(self) -> None:
         mass = as_positive("mass", self.mass, (None,))
@@ -93,8 +93,10 @@ class System:
 
     @cached_property
     def masses(self) -> Array:
-        """The mass of every degree of freedom, (n,)."""
-        return np.repeat(self.mass, self.dimension)
+        """The mass of every degree of freedom, (n,), read-only."""
+        masses = np.repeat(self.mass, self.dimension)
+        masses.setflags(write=False)
+        return masses
 
     # Parameters
 
@@ -211,8 +213,20 @@ class System:
 
         total = csr_array((self.n, self.n))
         for effect in self.having(capability):
-            total = total + getattr(effect, capability)(*place)
+            total = total + self._jacobian(effect, capability, place)
         return csr_array(total)
+
+    def _jacobian(self, effect: Any, capability: str, place: tuple[Any, ...]) -> csr_array:
+        """An effect's dq or dv as CSR, whatever it came as; ValueError for another shape."""
+        matrix = getattr(effect, capability)(*place)
+        if np.shape(matrix) != (self.n, self.n):
+            shape = (self.n, self.n)
+            raise ValueError(f"{capability} of {effect.name!r} must return shape {shape}; got {np.shape(matrix)}")
+        if getattr(matrix, "format", "") == "csr":
+            return matrix
+        from scipy.sparse import csr_array
+
+        return csr_array(matrix)
 
     def dtheta(self, t: float, q: Array, v: Array) -> csr_array:
         """df/dtheta, CSR (n,P)."""
@@ -266,9 +280,10 @@ class System:
         terms = [(1.0, diagonal(self.masses))]
         for weight, capability in zip(weights, ("dq", "dv"), strict=True):
             for effect in self.having(capability) if weight else ():
-                terms.append((-weight, getattr(effect, capability)(t, *place)))
+                terms.append((-weight, self._jacobian(effect, capability, (t, *place))))
         factors, matrices = zip(*terms, strict=True)
-        total = self._stage_pattern(weights, matrices).total(factors, matrices, (1 - self.free) * self.masses)
+        pattern = self._stage_pattern(weights, matrices)
+        total = pattern.total(factors, matrices, (1 - self.free) * self.masses)
         return total if self.n > DENSE_SIZE else total.toarray()
 
     def _stage_pattern(self, weights: tuple[float, float], matrices: Sequence[csr_array]) -> SumPattern:
@@ -283,8 +298,8 @@ class System:
         if self.n <= DENSE_SIZE:
             return None
         pattern = self.patterns.get(tuple(weight != 0 for weight in weights))
-        used = {effect for name, w in zip(("dq", "dv"), weights, strict=True) if w for effect in self.having(name)}
-        if pattern is None or not all(getattr(effect, "symmetric", False) for effect in used):
+        used = [effect for name, w in zip(("dq", "dv"), weights, strict=True) if w for effect in self.having(name)]
+        if pattern is None or not pattern.symmetric or not all(_symmetric(effect) for effect in used):
             return None
         return pattern.band
 
@@ -342,6 +357,11 @@ def _add(theta_bar: Array, bar: Array | float, parameters: tuple[_Parameter, ...
         return
     for p in parameters:
         theta_bar[p.place] += bar[p.own]
+
+
+def _symmetric(effect: Any) -> bool:
+    """Whether dq and dv are declared symmetric, by the class that states them: a subclass may state others."""
+    return bool(getattr(effect, "symmetric", False)) and current(effect, "symmetric", ("force", "dq", "dv"))
 
 
 def _bound(effect: Any, mass: Array, dimension: int) -> Effect:

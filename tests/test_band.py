@@ -1,8 +1,11 @@
 """Band matrices, sums with a fixed pattern, directions polished with another matrix's factor."""
 
+import dataclasses
+from dataclasses import dataclass
+
 import numpy as np
 import pytest
-from scipy.sparse import csr_array, diags_array, eye_array, random_array
+from scipy.sparse import coo_array, csc_array, csr_array, diags_array, eye_array, random_array
 
 from dsim import System, adjoint, simulate
 from dsim.arrays.scatter import ElementScatter, diagonal
@@ -261,3 +264,200 @@ def test_the_counters_see_factors_made_while_polishing(monkeypatch):
     monkeypatch.setattr(Band, "factorize", lambda *a: made.append(1) or original(*a))
     run = simulate(BackwardEuler(), system, y0, 0.05, 3)
     assert 3 < len(made) == run.counters.factorizations <= run.counters.newton_iterations
+
+
+# Effects as users write them
+
+
+class Pull:
+    """Linear: f = A q on the degrees of freedom, with the matrix in any form."""
+
+    name = "pull"
+
+    def __init__(self, matrix, form=csr_array):
+        self.matrix, self.form = matrix, form
+
+    def force(self, t, q, v):
+        return self.matrix @ q
+
+    def dq(self, t, q, v):
+        return self.form(self.matrix)
+
+
+def leaning(n):
+    return diags_array([1.0, -3.0, 2.0], offsets=(-1, 0, 1), shape=(n, n)).toarray()
+
+
+def gradient_and_difference(system, y0, h=0.1, steps=3):
+    """dJ/dy0 of the sum of the last state along one direction, and its central difference."""
+    way = np.random.default_rng(2).normal(size=y0.size)
+
+    def end(y):
+        return simulate(BackwardEuler(), system, y, h, steps).last.sum()
+
+    run = simulate(BackwardEuler(), system, y0, h, steps, keep="factors")
+    found = adjoint(run, np.ones(system.size)).y0 @ way
+    return found, (end(y0 + 1e-5 * way) - end(y0 - 1e-5 * way)) / 2e-5
+
+
+@pytest.mark.parametrize("n", [20, DENSE_SIZE, DENSE_SIZE + 1, 150])
+@pytest.mark.parametrize("form", [csr_array, csc_array, coo_array, np.asarray])
+def test_a_jacobian_may_come_in_any_form(n, form):
+    system = System(np.ones(n), Pull(leaning(n), form), 1)
+    found, expected = gradient_and_difference(system, np.random.default_rng(0).normal(size=2 * n))
+    assert found == pytest.approx(expected, rel=1e-6)
+
+
+def test_a_jacobian_of_another_shape_is_named():
+    system = System(np.ones(4), Pull(np.eye(4), lambda matrix: csr_array(matrix[:3])), 1)
+    with pytest.raises(ValueError, match=r"dq of 'pull' must return shape \(4, 4\); got \(3, 4\)"):
+        simulate(BackwardEuler(), system, np.ones(8), 0.1, 1)
+
+
+class Follower(Gravity):
+    """Inherits `symmetric` from a force without derivatives, and has an unsymmetric one."""
+
+    def force(self, t, q, v):
+        return leaning(len(q)) @ q
+
+    def dq(self, t, q, v):
+        return csr_array(leaning(len(q)))
+
+
+class Boaster(Pull):
+    symmetric = True  # which it is not
+
+
+@pytest.mark.parametrize("n", [40, 160])
+def test_symmetry_is_neither_inherited_nor_believed(n):
+    for effect in (Follower([1.0]), Boaster(leaning(n))):
+        system = System(np.ones(n), effect, 1)
+        found, expected = gradient_and_difference(system, np.random.default_rng(0).normal(size=2 * n))
+        assert found == pytest.approx(expected, rel=1e-6)
+        system.stage_matrix(0.0, (np.ones(n), np.ones(n)), (0.1, 0.1))
+        assert system.stage_band((0.1, 0.1)) is None
+
+
+def test_an_effect_that_says_nothing_is_not_symmetric():
+    n = 150
+    system = System(np.ones(n), Pull(-np.eye(n)), 1)
+    system.stage_matrix(0.0, (np.ones(n), np.ones(n)), (0.1, 0.1))
+    assert system.stage_band((0.1, 0.1)) is None
+
+
+def test_only_the_derivatives_in_use_decide_about_symmetry():
+    """Spring damping's dv is symmetric at no weight: with weight 0 it is not asked."""
+    n = 150
+    lean = Pull(leaning(n))
+    lean.dv, lean.dq = lean.dq, None
+    system = System(np.ones(n), lean, 1)
+    for weights, there in (((0.1, 0.0), True), ((0.1, 0.1), False)):
+        system.stage_matrix(0.0, (np.ones(n), np.ones(n)), weights)
+        assert (system.stage_band(weights) is not None) == there
+
+
+def test_effects_need_not_be_hashable():
+    @dataclass
+    class Wind(Pull):
+        matrix: np.ndarray
+        form: object = csr_array
+
+    n = DENSE_SIZE + 1
+    system = System(np.ones(n), Wind(-np.eye(n)), 1)
+    assert simulate(BackwardEuler(), system, np.ones(2 * n), 0.1, 2).y.shape == (3, 2 * n)
+
+
+def test_systems_with_other_pins_have_patterns_of_their_own():
+    system, y0 = net()
+    system.stage_matrix(0.0, system.blocks(y0), (0.1, 0.2))
+    other = dataclasses.replace(system, fixed=[5])
+    matrix = other.stage_matrix(0.0, other.blocks(y0), (0.1, 0.2))
+    assert np.allclose(matrix.toarray(), plain_stage_matrix(other, *other.blocks(y0), 0.1, 0.2), rtol=0, atol=1e-12)
+
+
+def test_a_pattern_that_moves_is_followed():
+    """New columns, new rows, and the same arrays with other contents."""
+    n, state = 150, {"shift": 1}
+    indices, indptr = np.arange(n, dtype=np.int32), np.arange(n + 1, dtype=np.int32)
+
+    class Moving:
+        name = "moving"
+
+        def force(self, t, q, v):
+            return np.zeros(n)
+
+        def dq(self, t, q, v):
+            indices[:] = (np.arange(n) + state["shift"]) % n
+            matrix = csr_array((n, n))
+            matrix.data, matrix.indices, matrix.indptr = np.ones(n), indices, indptr
+            return matrix
+
+    system = System(np.ones(n), Moving(), 1)
+    for state["shift"] in (1, 2, 0):
+        matrix = system.stage_matrix(0.0, (np.ones(n), np.ones(n)), (0.5, 0.0)).toarray()
+        assert np.array_equal(matrix, np.eye(n) - 0.5 * np.roll(np.eye(n), state["shift"], axis=1))
+    rows = [csr_array((np.ones(2), np.array([0, 1]), np.array(p)), shape=(2, 2)) for p in ([0, 1, 2], [0, 2, 2])]
+    assert not SumPattern(rows[:1], np.ones(2)).fits(rows[1:])
+
+
+def test_shared_indices_cannot_be_changed():
+    system, y0 = net()
+    matrix = system.stage_matrix(0.0, system.blocks(y0), (0.1, 0.2))
+    for shared in (matrix, diagonal(np.ones(5)), system.effects[0].dq(0.0, *system.blocks(y0))):
+        assert not shared.indices.flags.writeable and not shared.indptr.flags.writeable
+    diagonal(system.masses).data *= 7.0
+    assert np.array_equal(system.masses, np.repeat(system.mass, 3))
+
+
+def test_an_infinite_slope_at_a_pin_is_cleared():
+    slope = Pull(np.zeros((4, 4)), lambda matrix: csr_array(np.diag([np.inf, -1.0, -1.0, -1.0])))
+    system = System(np.ones(4), slope, 1, fixed=[0])
+    matrix = system.stage_matrix(0.0, (np.ones(4), np.ones(4)), (0.5, 0.0))
+    assert np.array_equal(matrix, np.diag([1.0, 1.5, 1.5, 1.5]))
+
+
+def test_compressed_nets_use_both_factors(monkeypatch):
+    """Definite and indefinite matrices in one run: equal to the plain path, and an LU preconditions nothing."""
+    system, y0 = net(slack=1.1)
+    made = []
+    for name in ("factorize", "factorize_general"):
+        original = getattr(Band, name)
+
+        def counted(self, data, original=original, name=name):
+            factor = original(self, data)
+            made.append(name)
+            return factor
+
+        monkeypatch.setattr(Band, name, counted)
+    run = simulate(BackwardEuler(), system, y0, 0.15, 6, keep="factors")
+    assert {"factorize", "factorize_general"} <= set(made) and len(made) == run.counters.factorizations
+    assert all(isinstance(f, BandFactor | None) for s in run.steps for f in s.factors.values())
+    monkeypatch.setattr(System, "stage_band", lambda self, weights: None)
+    assert np.abs(run.y - simulate(BackwardEuler(), system, y0, 0.15, 6).y).max() < 1e-8
+
+
+def test_an_unsymmetric_band_is_solved_both_ways():
+    matrix = csr_array(leaning(30))
+    factor, b = Band(matrix).factorize_general(matrix.data), np.arange(30)
+    assert np.abs(matrix @ factor.solve(b) - b).max() < 1e-11
+    assert np.abs(matrix.T @ factor.solve_transposed(b) - b).max() < 1e-11
+
+
+def test_tiny_pivots_are_singular():
+    matrix = banded()
+    matrix.data[matrix.indices == 39] *= 1e-25
+    with pytest.raises(SingularMatrixError, match="pivots from"):
+        Band(banded()).factorize_general(matrix.data)
+
+
+def test_polished_solves_columns_and_keeps_its_new_factor(monkeypatch):
+    matrix = banded()
+    band, b = Band(matrix), np.random.default_rng(0).normal(size=(40, 3))
+    near = Polished(matrix, band, band.factorize(matrix.data))
+    assert np.abs(matrix @ near.solve(b) - b).max() < 1e-9
+    far = Polished(matrix, band, band.factorize(csr_array(matrix + diagonal(np.linspace(0, 1e6, 40))).data))
+    made, original = [], Band.factorize
+    monkeypatch.setattr(Band, "factorize", lambda *a: made.append(1) or original(*a))
+    for column in b.T:
+        far.solve(column)
+    assert len(made) == 1

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from dsim import System, adjoint, catalog, simulate
-from dsim.effects import Drag, Field, Gravity, SpringDamping, Springs, rows
+from dsim import System, adjoint, catalog, plan, simulate
+from dsim.effects import Actuation, Drag, Field, Gravity, SpringDamping, Springs, rows
 from dsim.effects.rows import PlainRows
 from dsim.simulation import _stepwise, record
 from dsim.solve import Status
@@ -150,3 +150,44 @@ def test_an_explicit_run_and_its_gradient_never_ask_for_a_matrix(monkeypatch):
     system, y0 = net(3)
     run = simulate(SymplecticEuler(), system, y0, 0.01, 5)
     assert np.isfinite(adjoint(run, np.ones_like(run.y)).theta).all()
+
+
+def test_a_run_ends_at_the_step_that_fails():
+    """Not a step later: counts are those of the plain path, and a force never sees what is not finite."""
+    seen = []
+
+    class Steep:
+        name = "steep"
+
+        def force(self, t, q, v):
+            seen.append(np.isfinite(q).all() and np.isfinite(v).all())
+            return -1e8 * q
+
+    run = record(ForwardEuler(), System([1.0], Steep(), 1), [1.0, 0.0], 0.01, 1000)
+    assert run.status is Status.NOT_FINITE and len(seen) == run.counters.forces == 152 and all(seen)
+
+
+def test_a_system_with_a_force_of_its_own_is_obeyed():
+    class Mirrored(System):
+        def force(self, t, q, v):
+            return -super().force(t, q, v)
+
+    run = simulate(SymplecticEuler(), Mirrored([1.0], Gravity([-1.0]), 1), [0.0, 0.0], 0.1, 1)
+    assert run.last[1] == pytest.approx(0.1)
+
+
+def test_effects_with_discrete_choices_and_overridden_forces_take_the_plain_path():
+    class Heavy(Gravity):
+        def force(self, t, q, v):
+            return 2 * super().force(t, q, v)
+
+    pushes = np.random.default_rng(0).normal(size=(5, 2, 1))
+    system = System([1.0, 2.0], [Heavy([-1.0]), Actuation(pushes, 0.1)], 1)
+    y0 = np.zeros(4)
+    run = simulate(SymplecticEuler(), system, y0, 0.1, 5)
+    y = np.empty((6, 4))
+    y[0] = y0
+    assert run.run is None and np.array_equal(run.y, _stepwise(SymplecticEuler(), system, y, 0.1, "states").y)
+    heavy = System([1.0], Heavy([-1.0]), 1)
+    assert simulate(SymplecticEuler(), heavy, [0.0, 0.0], 0.1, 1).last[1] == pytest.approx(-0.2)
+    assert "by its force" in str(plan(heavy, SymplecticEuler(), [0.0, 0.0], 0.1))

@@ -165,3 +165,29 @@ def test_the_command():
 def test_the_gradient_of_a_planned_run_is_there():
     run = simulate(SymplecticEuler(), oscillator(1.0), [1.0, 0.0], 0.1, 5)
     assert np.isfinite(adjoint(run, np.ones_like(run.y)).y0).all()
+
+
+def test_plans_of_nothing_of_zero_springs_and_of_descent():
+    free = System([1.0], (), 1)
+    run = record(BackwardEuler(), free, [0.0, 1.0], 0.1, 3)
+    made = plan(free, BackwardEuler(), [0.0, 1.0], 0.1)
+    assert run.counters.forces >= 3 * made.predicted.forces and run.counters.jacobians >= 3 * made.predicted.jacobians
+    for effect in (Springs([(0, 1)], 1.0, 0.0), Drag(0.0)):
+        idle = System(np.ones(150), effect, 1)
+        assert plan(idle, SymplecticEuler(), np.ones(300), 0.1).warnings == ()
+    pairs = np.stack([np.arange(149), np.arange(1, 150)], axis=1)
+    chain = System(np.ones(150), Springs(pairs, 0.5, 10.0), 1)
+    y0 = np.r_[np.arange(150.0), np.zeros(150)]
+    made = plan(chain, BackwardEuler(), y0, 0.1, want=("gradient",))
+    kept = simulate(BackwardEuler(), chain, y0, 0.1, 1, keep="factors").steps[0].factor_bytes
+    assert "band Cholesky" in str(made) and f"{kept / 1e6:.3g} MB a step" in str(made)
+    descent = plan(chain, BackwardEuler(globalize="energy"), y0, 0.1, want=("gradient",))
+    assert "band" not in str(descent) and "factors" not in stages(descent)["tape"].why
+
+
+def test_frequencies_see_masses_and_damping_its_limit():
+    system = System(np.full(2, 4.0), Springs([(0, 1)], 1.0, 8.0), 1)
+    assert highest_frequency(system, np.array([0.0, 1.0, 0.0, 0.0])) == pytest.approx(2.0)
+    for c, warned in ((1.99, False), (2.01, True)):
+        damped = System([1.0], Drag(c), 1)
+        assert bool(plan(damped, SymplecticEuler(), [0.0, 1.0], 1.0).warnings) == warned

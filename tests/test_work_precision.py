@@ -9,6 +9,7 @@ from typer.testing import CliRunner
 
 from dsim import catalog
 from dsim.cli import app, main
+from dsim.effects import Field
 from dsim.pictures.style import to_png
 from dsim.pictures.work_precision import estimated_cost
 from dsim.pictures.work_precision import work_precision as draw
@@ -21,9 +22,10 @@ from dsim.studies import check_gradient, problems, stopwatch, tolerances
 from dsim.studies import work_precision as module
 from dsim.studies.cells import Store
 from dsim.studies.convergence import fit_order
-from dsim.studies.problems import adjoint_equation, sample, solution
+from dsim.studies.problems import Problem, adjoint_equation, sample, solution
 from dsim.studies.reference import DOP853, RADAU, Reference
 from dsim.studies.work_precision import Cell, Study, Sweep, asymptotic_order, cost_at, measure, pareto, work_precision
+from dsim.system import System
 
 TINY = Sweep(levels=2, costly=2, rounds=0)
 CLOSED = [problems.projectile, problems.kepler, problems.chain, problems.two_rates]
@@ -338,3 +340,30 @@ def test_tables_hold_a_row_a_method():
     study = work_precision(problems.projectile(), [RK4(), SymplecticEuler()], TINY)
     methods, answers = tables(study)
     assert len(methods.rows) == 2 and len(answers.rows) == 7
+
+
+def test_a_reference_that_gives_up_is_a_failed_cell():
+    pole = Field(lambda x: 6 * x**2, lambda x: 12 * x[:, :, None], lambda x: -2 * x[:, 0] ** 3)  # x = 1 / (1 - t)^2
+    safe = Problem("pole", System([1.0], [pole], dimension=1), np.array([1.0, 2.0]), 2.0)
+    cell = measure(safe, DOP853, 1e-6)
+    assert cell.failed and cell.status == "gave up" and cell.error == np.inf
+
+
+def test_the_store_notices_another_formula_and_another_force(tmp_path):
+    def study(w, rule):
+        class Mine(RuleStepper):
+            order = 1
+
+        Mine.rule = rule
+        swing = Field(lambda x: -(w**2) * x, lambda x: np.full((1, 1, 1), -(w**2)))
+        problem = Problem("osc", System([1.0], [swing], dimension=1), np.array([1.0, 0.0]), 1.0)
+        return work_precision(problem, [Mine()], Sweep(2, 2, rounds=0), Store(tmp_path)).cells[0].error
+
+    def euler(self, y, phi, t, h):
+        return y[0] + h * phi(t, y[0])
+
+    def midpoint(self, y, phi, t, h):
+        return y[0] + h * phi(t + h / 2, y[0] + h / 2 * phi(t, y[0]))
+
+    errors = [study(1.0, euler), study(1.0, midpoint), study(3.0, euler), study(1.0, euler)]
+    assert len(set(errors)) == 3 and errors[0] == errors[3]

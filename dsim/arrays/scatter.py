@@ -59,7 +59,7 @@ class ElementScatter:
         indptr = np.concatenate([[0], np.cumsum(counts)]).astype(np.int32)
         indices = (places % self.size).astype(np.int32)
         empty = csr_array((np.zeros(len(places)), indices, indptr), shape=(self.size, self.size))
-        return empty, _summation(slots, len(places))  # the pattern, the matrix T
+        return _shared(empty), _summation(slots, len(places))  # the pattern, the matrix T
 
     def matrix(self, values: Array) -> csr_array:
         """(E,k,d,k,d) -> CSR (n,n) with one pattern for the lifetime of this object."""
@@ -114,6 +114,13 @@ class ElementScatter:
         return csr_array((values.ravel(), (rows.ravel(), columns.ravel())), shape=shape)
 
 
+def _shared(pattern: csr_array) -> csr_array:
+    """The pattern with indices that nobody can change: many matrices share them."""
+    for indices in (pattern.indices, pattern.indptr):
+        indices.setflags(write=False)
+    return pattern
+
+
 def _with_data(pattern: csr_array, data: Array) -> csr_array:
     matrix = copy.copy(pattern)  # shares the indices; the constructor would check them every time
     matrix.data = data
@@ -138,15 +145,15 @@ def _summation(slots: NDArray[np.int64], size: int) -> csr_array:
 
 def diagonal(values: Array) -> csr_array:
     """(n,) -> CSR (n,n)."""
-    return _with_data(_identity(len(values)), values)
+    return _with_data(_identity(len(values)), np.array(values, dtype=float))
 
 
 @lru_cache(maxsize=16)
 def _identity(n: int) -> csr_array:
     from scipy.sparse import csr_array
 
-    places = np.arange(n + 1, dtype=np.int32)
-    return csr_array((np.ones(n), places[:-1], places), shape=(n, n))
+    indices, indptr = np.arange(n, dtype=np.int32), np.arange(n + 1, dtype=np.int32)
+    return _shared(csr_array((np.ones(n), indices, indptr), shape=(n, n)))
 
 
 def block_diagonal(blocks: Array) -> csr_array:

@@ -7,6 +7,19 @@ from typing import Protocol, runtime_checkable
 from dsim.arrays.checks import Array
 
 
+def current(effect: object, capability: str, stated: tuple[str, ...]) -> bool:
+    """Whether a capability still describes the effect: no subclass of the class that has it restates one of `stated`.
+
+    A subclass that overrides the force inherits rows, products or a symmetry that were written for another one.
+    """
+    for kind in type(effect).__mro__:
+        if capability in vars(kind):
+            return True
+        if any(name in vars(kind) for name in stated):
+            return False
+    return True  # an attribute of the instance
+
+
 @runtime_checkable
 class Effect(Protocol):
     """A generalized force.  Only `name` and `force` are required.

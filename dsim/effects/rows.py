@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dsim.arrays.checks import Array
+from dsim.effects.effect import current
 
 
 class Rows(Protocol):
@@ -173,7 +174,7 @@ class PlainRows:
         self.effect = effect
 
     def add_force(self, t: float, x: Array, v: Array, out: Array, saved: tuple[Array, ...]) -> None:
-        force = self.effect.force(t, x.T.ravel(), v.T.ravel())
+        force = np.asarray(self.effect.force(t, x.T.ravel(), v.T.ravel()))
         if np.shape(force) != (out.size,):
             name = self.effect.name
             raise ValueError(f"force of {name!r} must return shape {(out.size,)}; got {np.shape(force)}")
@@ -198,25 +199,20 @@ def rows_of(effect: Any) -> Rows:
 
     Rows stand for the force and the vjp they were written with: a subclass that overrides either loses them.
     """
-    if getattr(effect, "rows", None) is None or _overridden(type(effect)):
+    if not has_rows(effect):
         return PlainRows(effect)
     rows: Rows = effect.rows()
     return rows
 
 
-def _overridden(kind: type) -> bool:
-    """Whether a class further down than the one with `rows` states the force or the vjp."""
-    for ancestor in kind.__mro__:
-        if "rows" in vars(ancestor):
-            return False
-        if "force" in vars(ancestor) or "vjp" in vars(ancestor):
-            return True
-    return False
+def has_rows(effect: Any) -> bool:
+    """Whether the effect has rows of its own."""
+    return getattr(effect, "rows", None) is not None and current(effect, "rows", ("force", "vjp"))
 
 
 def products(effect: Any, t: float, place: tuple[Array, Array], w: Array) -> tuple[Any, Any, Any]:
     """(dq^T w, dv^T w, dtheta^T w) of an effect: by its `vjp`, else by the matrices it has; 0 for a missing one."""
-    if getattr(effect, "vjp", None) is not None:
+    if getattr(effect, "vjp", None) is not None and current(effect, "vjp", ("force", "dq", "dv", "dtheta")):
         found: tuple[Any, Any, Any] = effect.vjp(t, *place, w)
         return found
     parts = [getattr(effect, capability, None) for capability in ("dq", "dv", "dtheta")]

@@ -128,6 +128,7 @@ class BandLU:
 
 def _ordered(b: Array, order: Array | None, solve: Callable[[Array], Array]) -> Array:
     """Solve in the order of the band."""
+    b = np.asarray(b, dtype=float)
     if order is None:
         return solve(b).reshape(b.shape)
     x = np.empty_like(b)

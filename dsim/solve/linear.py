@@ -125,6 +125,10 @@ class Polished:
         """A^-1 b."""
         from scipy.sparse.linalg import LinearOperator, cg
 
+        if self.anew is not None:
+            return self.anew.solve(b)
+        if b.ndim == 2:
+            return np.stack([self.solve(column) for column in b.T], axis=1)
         guide = LinearOperator(self.matrix.shape, matvec=self.near.solve, dtype=float)
         x: Array = cg(self.matrix, b, rtol=0.1 * self.tol, maxiter=_MOST, M=guide)[0]
         if np.linalg.norm(self.matrix @ x - b) <= self.tol * np.linalg.norm(b):

@@ -32,10 +32,13 @@ class SumPattern:
         indptr = np.concatenate([[0], np.cumsum(np.bincount(places // n, minlength=n))]).astype(np.int32)
         shape = (n, n)
         self.pattern = csr_array((np.zeros(len(places)), (places % n).astype(np.int32), indptr), shape=shape)
-        self._sources = [(matrix.indptr, matrix.indices) for matrix in matrices]
+        self._sources = [(_kept(matrix.indptr), _kept(matrix.indices)) for matrix in matrices]
         self._ways = [_way(np.searchsorted(places, code), len(places)) for code in codes]
         self._diagonal = np.searchsorted(places, diagonal)
-        self._kept = None if free.all() else free[places // n] * free[places % n]
+        self._cleared = np.flatnonzero(free[places // n] * free[places % n] == 0)
+        self.symmetric: bool | None = None  # of the first sum, to a relative 1e-10
+        for indices in (self.pattern.indices, self.pattern.indptr):
+            indices.setflags(write=False)  # shared by every sum
 
     @cached_property
     def band(self) -> Band | None:
@@ -57,11 +60,13 @@ class SumPattern:
         data = np.zeros(self.pattern.nnz)
         for weight, matrix, way in zip(weights, matrices, self._ways, strict=True):
             _add(data, weight * matrix.data, way)
-        if self._kept is not None:
-            data *= self._kept
+        if len(self._cleared):
+            data[self._cleared] = 0.0
             data[self._diagonal] += pinned
         matrix = copy.copy(self.pattern)  # shares the indices; the constructor would check them every time
         matrix.data = data
+        if self.symmetric is None:
+            self.symmetric = bool(abs(matrix - matrix.T).max() <= 1e-10 * np.abs(data).max())
         return matrix
 
 
@@ -90,6 +95,11 @@ def _add(data: Array, values: Array, way: Any) -> None:
         data[way] += values
     else:
         data += way @ values
+
+
+def _kept(indices: Any) -> Any:
+    """The array itself where nobody can change it, else a copy to compare with."""
+    return indices if not indices.flags.writeable else indices.copy()
 
 
 def _same(a: Any, b: Any) -> bool:

@@ -29,7 +29,7 @@ class StageProblem:
         self._k_factor = self.base[0]
         self._polished: Polished | None = None
         self._polished_at = self.base[0]
-        self._kept = 0  # iterations that made no factor of their own
+        self._made: int | None = None  # factors, where the matrix lies in a band; else Newton makes them
 
     def place(self, k: Array) -> tuple[Array, ...]:
         """Where the rate is evaluated."""
@@ -58,18 +58,19 @@ class StageProblem:
         if band is None:
             return matrix
         self._adopt()
+        self._made = self._made or 0
         if self.factor is not None and self.size(k - self._k_factor, k) <= _NEAR:
-            self._kept += 1
             self._polished, self._polished_at = Polished(matrix, band, self.factor, _DIRECTION), k
             return self._polished
         factor = factorize(matrix, band)
+        self._made += 1
         self._remember(factor, k)
         return factor
 
     def _adopt(self) -> None:
         """Where polishing ended in a new factor, that one is the nearest now."""
         if self._polished is not None and self._polished.anew is not None:
-            self._kept -= 1
+            self._made = (self._made or 0) + 1
             self._remember(self._polished.anew, self._polished_at)
         self._polished = None
 
@@ -94,4 +95,4 @@ class StageProblem:
         )
         self._adopt()
         n = result.iterations
-        return result, Counters(result.evaluations, n, n - self._kept, n, n)
+        return result, Counters(result.evaluations, n, n if self._made is None else self._made, n, n)

@@ -333,11 +333,28 @@ def _measure_level(
 def _key(problem: Problem, method: Method, setting: float, sweep: Sweep) -> tuple[str, ...]:
     label = f"{name_of(method)} {method!r}" if hasattr(method, "__dataclass_fields__") else name_of(method)
     kind = "timed" if sweep.rounds else "counted"
-    return *_identity(problem), label, repr(setting), kind
+    return *_identity(problem), label, _formula(method), repr(setting), kind
+
+
+def _formula(method: Method) -> str:
+    """The rule's code: a formula that was changed is another method."""
+    return _words_of_code(getattr(getattr(type(method), "rule", None), "__code__", None))
+
+
+def _words_of_code(code: Any) -> str:
+    if code is None:
+        return ""
+    inner = [_words_of_code(c) if hasattr(c, "co_code") else repr(c) for c in code.co_consts]
+    return repr((code.co_code, code.co_names, inner))
 
 
 def _identity(problem: Problem) -> tuple[str, ...]:
-    parts = (problem.duration, problem.y0.tolist(), problem.system.theta.tolist(), problem.scale.tolist())
+    """Numbers, and what functions give: the flow at the start and a little off, the closed form at the end."""
+    y0, system = problem.y0, problem.system
+    with np.errstate(all="ignore"):
+        pushed = [system.flow(t, y).tolist() for t, y in ((0.0, y0), (0.1, 1.01 * y0 + 0.01))]
+    end = None if problem.exact is None else np.asarray(problem.exact(problem.duration)).tolist()
+    parts = (problem.duration, y0.tolist(), system.theta.tolist(), problem.scale.tolist(), pushed, end)
     return problem.name, repr(parts)
 
 
@@ -372,13 +389,21 @@ def _measure_reference(problem: Problem, method: Reference) -> Cell:
     """A SciPy integrator at its own steps; its gradient by the adjoint equation at the same tolerance."""
     found = _solve(problem, method)
     t, y = found.t, found.y.T
+    counts = {"forces": int(found.nfev), "jacobians": int(found.njev), "factorizations": int(found.nlu)}
+    try:
+        gradient, _ = adjoint_run(problem, method, y[-1]) if found.success else (y[-1], None)
+        status = str(Status.CONVERGED) if found.success else "gave up"
+    except ArithmeticError:
+        status = "gave up"
+    if status != Status.CONVERGED:
+        nothing = (np.inf, np.inf, np.inf)
+        return Cell(problem.name, method.method, method.rtol, 0, status, *nothing, counts)
     truth = problem.truth(method.method)
-    gradient, _ = adjoint_run(problem, method, y[-1])
     return Cell(
         problem.name, method.method, method.rtol, 0, str(Status.CONVERGED),
         problem.state_error(t, y, method.method), problem.gradient_error(gradient, truth.gradient),
         max(problem.drift(t, y).values(), default=float("nan")),
-        {"forces": int(found.nfev), "jacobians": int(found.njev), "factorizations": int(found.nlu)},
+        counts,
     )  # fmt: skip
 
 
