@@ -43,6 +43,8 @@ def test_a_plan_that_lies_is_red(monkeypatch):
     made = plan(net.system, net.stepper, net.y0, net.h)
     too_many = Counters(forces=100, factorizations=9, newton_iterations=8)
     assert [c.statement for c in plans.plan_checks(net, made, too_many) if not c.passed] == ["factorizations"]
+    too_few = Counters(forces=5, factorizations=3, newton_iterations=3)  # three steps need two each
+    assert [c.statement for c in plans.plan_checks(net, made, too_few) if not c.passed] == ["force calls"]
     hung = scenes.pendulum_spring()
     made = plan(hung.system, hung.stepper, hung.y0, hung.h)
     monkeypatch.setattr(Plan, "warnings", ())
@@ -54,6 +56,11 @@ def test_exponents_of_known_powers():
     x = [1.0, 2.0, 4.0, 8.0]
     row = growth.Growth("explicit run", "steps", tuple(x), tuple(3 * v**1.5 for v in x), tuple(v**2 for v in x))
     assert row.time_exponent == pytest.approx(1.5) and row.memory_exponent == pytest.approx(2.0)
+
+
+def test_memory_that_grows_too_fast_is_red():
+    row = growth.Growth("explicit run", "steps", (1.0, 2.0), (1.0, 2.0), (1.0, 4.0))
+    assert [check.passed for check in plans.growth_checks([row, replace(row, bytes=(1.0, 2.0))])] == [False, True]
 
 
 def test_memory_of_explicit_runs_is_linear_and_seconds_are_positive():
