@@ -309,6 +309,7 @@ def test_the_command_writes_everything_and_resumes(tmp_path, monkeypatch):
     text = (tmp_path / "out/table.txt").read_text()
     assert max(map(len, text.splitlines())) <= 80
     monkeypatch.setattr(module, "measure", lambda *a: pytest.fail("measured again"))
+    monkeypatch.setattr(report, "newton_curves", lambda *a: pytest.fail("drawn again"))
     assert CliRunner().invoke(app, arguments).exit_code == 0
 
 

@@ -69,12 +69,13 @@ def run(names: Sequence[str], to: Path, *, quick: bool = False, fresh: bool = Fa
             bar.update(task, completed=sum(len(study.cells) for study in studies))
             for kind in ("png", "svg"):
                 save(pictures.work_precision(study), to / f"{study.problem}.{kind}")
+        bar.update(task, description="Newton's tolerance, difference steps")
+        _curves(to, 50 if quick else 200, fresh)
     out = terminal.console()
     with out.capture() as text:
         for study in studies:
             for table in tables(study):
                 out.print(lines(table))
-    _curves(to, 50 if quick else 200)
     write_atomically(to / "table.txt", text.get().encode())
     data = {"versions": versions(), "studies": [study.to_dict() for study in studies]}
     write_atomically(to / "accuracy.json", json.dumps(finite(data), indent=1, allow_nan=False).encode())
@@ -95,7 +96,10 @@ def _cells(problem: problems.Problem, sweep: Sweep) -> int:
     return sum(len(sweep.settings(problem, method)) for method in methods(problem))
 
 
-def _curves(to: Path, steps: int) -> None:
+def _curves(to: Path, steps: int, fresh: bool) -> None:
+    """The two curves that belong to no problem; drawn once in a directory."""
+    if not fresh and all((to / name).exists() for name in ("newton-tolerance.png", "difference-steps.png")):
+        return
     save(pictures.newton_tolerance(newton_curves(steps)), to / "newton-tolerance.png")
     widths = tolerances.DIFFERENCE_STEPS
     save(pictures.difference_steps(widths, tolerances.difference_steps(widths)), to / "difference-steps.png")
