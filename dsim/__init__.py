@@ -12,7 +12,11 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from dsim.gradients import Gradient as Gradient
+    from dsim.gradients import ReducedObjective as ReducedObjective
+    from dsim.gradients import Residuals as Residuals
+    from dsim.gradients import Variables as Variables
     from dsim.gradients import adjoint as adjoint
+    from dsim.gradients import sensitivity as sensitivity
     from dsim.planning import plan as plan
     from dsim.simulation import SimulationError as SimulationError
     from dsim.simulation import Trajectory as Trajectory
@@ -27,13 +31,17 @@ __version__ = "0.1.0"
 _HOMES = {
     "Flow": "dsim.system",
     "Gradient": "dsim.gradients",
+    "ReducedObjective": "dsim.gradients",
+    "Residuals": "dsim.gradients",
     "SimulationError": "dsim.simulation",
     "Status": "dsim.solve",
     "System": "dsim.system",
     "Trajectory": "dsim.simulation",
+    "Variables": "dsim.gradients",
     "adjoint": "dsim.gradients",
     "newton": "dsim.solve",
     "plan": "dsim.planning",
+    "sensitivity": "dsim.gradients",
     "simulate": "dsim.simulation",
 }
 _MODULES = {"catalog", "effects", "gradients", "kernels", "pictures", "scenes", "simulation", "solve", "steppers",

@@ -93,6 +93,20 @@ class Trajectory:
             raise ValueError("this trajectory has no system: load it with Trajectory.load(path, stepper, system)")
         return self.stepper, self.system
 
+    def differentiable(self) -> tuple[Stepper, Ode]:
+        """`attached`, and ValueError for a run that ended before its last step."""
+        stepper, system = self.attached()
+        if self.status is not Status.CONVERGED:
+            raise ValueError(
+                f"trajectory must be a run that reached its end; {explain(self)} (its first part: trajectory.completed)"
+            )
+        return stepper, system
+
+    @property
+    def completed(self) -> Trajectory:
+        """The steps that were taken, as a trajectory that ends with the last good one."""
+        return replace(self, status=Status.CONVERGED)
+
     def step(self, n: int) -> Step:
         """The step from t_n to t_{n+1}, with its history."""
         if not 0 <= n < len(self.t) - 1:

@@ -88,8 +88,8 @@ class System:
         return 2 * self.n
 
     def blocks(self, y: Array) -> tuple[Array, Array]:
-        """y (2n,) -> q and v (n,), the velocity of pinned points taken as 0."""
-        return y[: self.n], y[self.n :] * self.free
+        """y (2n,) -> q and v (n,), the velocity of pinned points taken as 0; y (2n,k) in the same way."""
+        return y[: self.n], (y[self.n :].T * self.free).T
 
     @cached_property
     def masses(self) -> Array:
@@ -242,9 +242,13 @@ class System:
     def _differentiable(self) -> Iterable[tuple[Any, NDArray[np.int64]]]:
         """Effects with dtheta, and the place in theta of each of its columns."""
         for effect, parameters in zip(self.effects, self.layout, strict=True):
-            if parameters and getattr(effect, "dtheta", None) is not None:
-                places = np.concatenate([np.arange(p.place.start, p.place.stop) for p in parameters])
-                yield effect, places[getattr(effect, "columns", slice(None))]
+            if not parameters or getattr(effect, "dtheta", None) is None:
+                continue
+            window = getattr(effect, "columns", slice(None))
+            if window.start is None:
+                yield effect, np.concatenate([np.arange(p.place.start, p.place.stop) for p in parameters])
+            else:  # a window, for an effect with a single parameter
+                yield effect, parameters[0].place.start + np.arange(window.start, window.stop)
 
     def vjp(self, t: float, q: Array, v: Array, w: Array, theta_bar: Array) -> tuple[Array, Array]:
         """(K^T w, D^T w); (df/dtheta)^T w is added into theta_bar (P,) in place.  No matrix is formed
@@ -304,8 +308,8 @@ class System:
         return pattern.band
 
     def stage_solve(self, w: Array) -> Array:
-        """M^-1 w."""
-        return w / self.masses
+        """M^-1 w, w (n,) or (n,k)."""
+        return (w.T / self.masses).T
 
     def stage_partials(self, t: float, q: Array, v: Array) -> tuple[csr_array, csr_array]:
         """d(M k)/dq and d(M k)/dv, CSR (n,n), pinned rows 0."""

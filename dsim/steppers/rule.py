@@ -129,8 +129,8 @@ def _check_form(stepper: RuleStepper, system: Ode) -> None:
 
 
 def _states(system: Ode, y0: Array) -> dict[int, Array]:
-    """{0: y_n, -1: y_{n-1}} from a state with its history."""
-    return {-place: y for place, y in enumerate(y0.reshape(-1, system.size))}
+    """{0: y_n, -1: y_{n-1}} from a state with its history, or from columns of them."""
+    return {-place: y for place, y in enumerate(y0.reshape(-1, system.size, *y0.shape[1:]))}
 
 
 def _with_history(y1: Array, y0: Array, history: int) -> Array:
@@ -243,18 +243,19 @@ class RuleLinearization:
         return self._factors[number]
 
     def tangent(self, dy0: Array, dtheta: Array) -> Array:
-        """dy1 from dy0 and dtheta, the derivative of the step in one direction."""
+        """dy1 from dy0 and dtheta, the derivative of the step in one direction, or in k: columns (...,k)."""
         ode: Any = self.system
-        changes = _values(ode, _states(ode, np.asarray(dy0, dtype=float)))
+        dy0 = np.asarray(dy0, dtype=float)
+        changes, zero = _values(ode, _states(ode, dy0)), np.zeros((ode.n, *dy0.shape[1:]))
         for number, stage in enumerate(self.tableau.stages):
             time, place, k = self.step.t + stage.offset, self._place(stage), self.values["k", number, 0]
             load = ode.stage_dtheta(time, place, k) @ dtheta
             for partial, part in zip(ode.stage_partials(time, *place), stage.arguments, strict=True):
-                load = load + partial @ (np.zeros(ode.n) + combine(part, changes))
+                load = load + partial @ (zero + combine(part, changes))
             implicit = any(self_weights(stage, number))
             changes["k", number, 0] = self._factor(number).solve(load) if implicit else ode.stage_solve(load)
-        told = np.concatenate([np.zeros(ode.n) + combine(part, changes) for part in self.tableau.outcome])
-        return np.concatenate(self._ordered(told, np.asarray(dy0, dtype=float)[: ode.size]))
+        told = np.concatenate([zero + combine(part, changes) for part in self.tableau.outcome])
+        return np.concatenate(self._ordered(told, dy0[: ode.size]))
 
     def _ordered(self, told: Array, kept: Array) -> list[Array]:
         """The new state: what the rule told, then the y_n kept as history; the other way round after `start`."""

@@ -76,7 +76,7 @@ class Linearization(Protocol):
     def C(self) -> csr_array: ...
 
     def tangent(self, dy0: Array, dtheta: Array) -> Array:
-        """dy1 = -A^-1 (B dy0 + C dtheta)."""
+        """dy1 = -A^-1 (B dy0 + C dtheta); dy0 (ny,), dtheta (P,), or k columns of each."""
         ...
 
     def pullback(self, mu: Array, theta_bar: Array) -> Array:
