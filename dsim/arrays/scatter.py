@@ -166,6 +166,16 @@ def block_diagonal(blocks: Array) -> csr_array:
     return csr_array((blocks.ravel(), columns.ravel(), indptr), shape=(count * d, count * d))
 
 
+def block_columns(values: Array) -> csr_array:
+    """(N,d) -> CSR (N d, N): the values of point i in column i."""
+    from scipy.sparse import csr_array
+
+    count, d = values.shape
+    return csr_array(
+        (values.ravel(), np.repeat(np.arange(count), d), np.arange(count * d + 1)), shape=(count * d, count)
+    )
+
+
 def pointwise_jacobian(f: object, x: Array) -> Array:
     """Central differences of a callable x (N,d) -> (N,d) in which point i depends on x_i alone -> (N,d,d).
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from dsim.arrays.checks import Array, Numbers, as_answer, as_array, as_nonnegative
 from dsim.arrays.frozen import replace
-from dsim.arrays.scatter import block_diagonal, diagonal, pointwise_jacobian
+from dsim.arrays.scatter import block_columns, block_diagonal, diagonal, pointwise_jacobian
 from dsim.effects.rows import DragRows
 
 if TYPE_CHECKING:
@@ -118,14 +118,14 @@ class Drag:
         return diagonal(-self._per_dof())
 
     def dtheta(self, t: float, q: Array, v: Array) -> csr_array:
-        from scipy.sparse import csr_array
+        from scipy.sparse import csr_array, hstack
 
         slip = self._slip(t, q, v)
-        columns: list[Array] = [block_columns(-slip) if self.coefficient.ndim else -slip.reshape(-1, 1)]
+        columns = [block_columns(-slip) if self.coefficient.ndim else csr_array(-slip.reshape(-1, 1))]
         if isinstance(self.wind, np.ndarray):
             c = np.broadcast_to(self.coefficient, self.points)
-            columns.append(np.asarray(np.kron(c[:, None], np.eye(self.dimension)), dtype=float))
-        return csr_array(np.hstack(columns))
+            columns.append(csr_array(np.kron(c[:, None], np.eye(self.dimension))))
+        return csr_array(hstack(columns))
 
     def vjp(self, t: float, q: Array, v: Array, w: Array) -> tuple[Array | float, Array, Array]:
         c = self._per_dof()
@@ -138,11 +138,3 @@ class Drag:
         if isinstance(self.wind, np.ndarray):
             theta.append((c * w).reshape(self.points, -1).sum(axis=0))
         return by_q, -c * w, np.concatenate(theta)
-
-
-def block_columns(values: Array) -> Array:
-    """(N,d) -> (N d, N): the values of point i in column i."""
-    points, d = values.shape
-    out = np.zeros((points, d, points))
-    out[np.arange(points), :, np.arange(points)] = values
-    return out.reshape(points * d, points)

@@ -9,6 +9,7 @@ import numpy as np
 
 from dsim.arrays.checks import Array, Numbers, as_array
 from dsim.arrays.frozen import replace
+from dsim.arrays.scatter import block_columns
 from dsim.effects.rows import GravityRows
 
 if TYPE_CHECKING:
@@ -44,12 +45,12 @@ class Gravity:
         return -float(self.force(t, q, q) @ q)
 
     def dtheta(self, t: float, q: Array, v: Array) -> csr_array:
-        from scipy.sparse import csr_array, hstack, kron
+        from scipy.sparse import csr_array, hstack
 
         assert self.mass is not None
         points, d = len(self.mass), len(self.acceleration)
-        by_mass = kron(csr_array(np.eye(points)), self.acceleration.reshape(d, 1), format="csr")
-        by_acceleration = kron(self.mass.reshape(points, 1), csr_array(np.eye(d)), format="csr")
+        by_mass = block_columns(np.broadcast_to(self.acceleration, (points, d)))
+        by_acceleration = csr_array(np.kron(self.mass[:, None], np.eye(d)))
         return csr_array(hstack([by_mass, by_acceleration]))
 
     def vjp(self, t: float, q: Array, v: Array, w: Array) -> tuple[float, float, Array]:
