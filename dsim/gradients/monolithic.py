@@ -56,6 +56,27 @@ class BlockSystem:
         gradient[:ny] += dJdy[0]
         return gradient
 
+    def reduced(self) -> BlockSystem:
+        """Without the copies of x_n that a two-step method carries along: block rows of size ny, as the lecture draws
+        them, G_n(x_n, x_{n-1}, x_{n-2}, p), and before them one for the past that the method makes up."""
+        from scipy.sparse import csc_array, csr_array
+        from scipy.sparse.linalg import splu
+
+        ny, first = self._sizes
+        if not first:
+            return self
+        halves = np.arange(self.dGdx.shape[0]).reshape(len(self.ticks) - 1, 2, ny)
+        kept = np.concatenate([halves[:1, 1], halves[1:, 0]]).ravel()  # the past, then x_1, ..., x_N
+        copies = np.concatenate([halves[:1, 0], halves[1:, 1]]).ravel()
+        above, below = self.dGdx[kept], self.dGdx[copies]
+        inverse = splu(csc_array(below[:, copies]))
+        through = csr_array(above[:, copies])
+        dGdx, dGdp = (
+            csr_array(direct - through @ inverse.solve(copied.toarray()))
+            for direct, copied in ((above[:, kept], below[:, kept]), (self.dGdp[kept], self.dGdp[copies]))
+        )
+        return BlockSystem(self.trajectory, dGdx, dGdp, ny * np.arange(len(self.ticks)))
+
     @property
     def _sizes(self) -> tuple[int, int]:
         """ny, and how many block rows come before the first step."""
