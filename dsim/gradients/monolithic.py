@@ -75,7 +75,7 @@ class BlockSystem:
             csr_array(direct - through @ inverse.solve(copied.toarray()))
             for direct, copied in ((above[:, kept], below[:, kept]), (self.dGdp[kept], self.dGdp[copies]))
         )
-        return BlockSystem(self.trajectory, dGdx, dGdp, ny * np.arange(len(self.ticks)))
+        return BlockSystem(self.trajectory, dGdx, dGdp, self.ticks // 2)
 
     @property
     def _sizes(self) -> tuple[int, int]:

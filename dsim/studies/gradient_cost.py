@@ -23,6 +23,7 @@ from dsim.scenes import Scene
 from dsim.simulation import Trajectory, simulate
 from dsim.steppers import SymplecticEuler
 from dsim.studies.cells import Store
+from dsim.studies.check import Check
 from dsim.studies.stopwatch import time_interleaved
 from dsim.studies.work_precision import finite
 
@@ -139,20 +140,20 @@ class Net:
 # The methods: (net, p (k,), the entries that are asked for, work) -> those entries of dJ/dp
 
 
-def forward(net: Net, p: Array, entries: Sequence[int], work: Work) -> Array:
+def forward(net: Net, p: Array, entries: Indices, work: Work) -> Array:
     """(J(p + h e) - J(p)) / h, h = sqrt(eps): half the digits."""
     step, base = np.sqrt(EPS), _value(net, p, work)
     return np.array([(_value(net, _turned(p, i, step), work) - base) / step for i in entries])
 
 
-def central(net: Net, p: Array, entries: Sequence[int], work: Work) -> Array:
+def central(net: Net, p: Array, entries: Indices, work: Work) -> Array:
     """(J(p + h e) - J(p - h e)) / 2h, h = cbrt(eps): two thirds of them."""
     step = np.cbrt(EPS)
     sides = [[_value(net, _turned(p, i, side), work) for side in (step, -step)] for i in entries]
     return np.array([(ahead - behind) / (2 * step) for ahead, behind in sides])
 
 
-def complex_step(net: Net, p: Array, entries: Sequence[int], work: Work, kind: Any = complex) -> Array:
+def complex_step(net: Net, p: Array, entries: Indices, work: Work, kind: Any = complex) -> Array:
     """Im J(p + ih e) / h (Squire & Trapp 1998), by `Net.plain`: all digits.  kind: np.clongdouble for more."""
     found = []
     for i in entries:
@@ -161,11 +162,11 @@ def complex_step(net: Net, p: Array, entries: Sequence[int], work: Work, kind: A
     return np.array(found)
 
 
-def forward_sensitivity(net: Net, p: Array, entries: Sequence[int], work: Work) -> Array:
+def forward_sensitivity(net: Net, p: Array, entries: Indices, work: Work) -> Array:
     """One run, then dJ/dy_N . dy_N/dp: a column a parameter."""
     work.runs += 1
     trajectory = net.run(p, keep="steps")
-    slope, parts, entries = net.moved(trajectory.last), [np.empty(0)], np.asarray(entries)
+    slope, parts = net.moved(trajectory.last), [np.empty(0)]
     column = np.full(len(p), -1)
     for first in range(0, len(entries), COLUMNS):
         chosen = entries[first : first + COLUMNS]
@@ -182,14 +183,14 @@ def forward_sensitivity(net: Net, p: Array, entries: Sequence[int], work: Work) 
     return np.concatenate(parts)
 
 
-def by_adjoint(net: Net, p: Array, entries: Sequence[int], work: Work) -> Array:
+def by_adjoint(net: Net, p: Array, entries: Indices, work: Work) -> Array:
     """One run, one sweep back, for all entries at once."""
     work.runs += 1
     trajectory = net.run(p, keep="steps")
     work.sweeps += 1
     gradient = adjoint(trajectory, net.moved(trajectory.last))
     whole = np.bincount(net.groups(len(p)), net.stiffness * gradient["springs.stiffness"])
-    found: Array = whole[np.asarray(entries)]
+    found: Array = whole[entries]
     return found
 
 
@@ -204,7 +205,7 @@ def _turned(p: Array, i: int, by: Any) -> Array:
     return turned
 
 
-Method = Callable[[Net, Array, Sequence[int], Work], Array]
+Method = Callable[[Net, Array, Indices, Work], Array]
 
 METHODS: dict[str, Method] = {
     "forward difference": forward,
@@ -213,7 +214,8 @@ METHODS: dict[str, Method] = {
     "sensitivity": forward_sensitivity,
     "adjoint": by_adjoint,
 }
-GROWTH = dict.fromkeys(METHODS, 1) | {"adjoint": 0}  # the known law: passes ~ k^growth
+GROWTH = dict.fromkeys(METHODS, 1) | {"adjoint": 0}  # the known law: passes ~ k^growth, for large k
+BOUNDS = dict.fromkeys(("complex step", "sensitivity", "adjoint"), 1e-11)  # of the error, for every k
 
 
 # The measurement
@@ -221,11 +223,12 @@ GROWTH = dict.fromkeys(METHODS, 1) | {"adjoint": 0}  # the known law: passes ~ k
 
 @dataclass(frozen=True)
 class Sweep:
-    """counts: the numbers of parameters.  limit: a method stops before it would take longer, in s.  rounds: ABBA
-    rounds; 0: nothing is timed, passes are the cost, and limit is their greatest number.  samples: entries judged."""
+    """counts: the numbers of parameters, ascending.  limit, most: a method stops before it would take more seconds, or
+    more passes.  rounds: ABBA rounds; 0: nothing is timed, passes are the cost.  samples: entries that are judged."""
 
     counts: tuple[int, ...] = (1, 3, 10, 30, 100, 300, 1000, 3000, 10_000)
-    limit: float = 12.0
+    limit: float = 15.0
+    most: float = float("inf")
     rounds: int = 2
     samples: int = 4
 
@@ -286,19 +289,27 @@ class CostStudy:
         return float(slope)
 
     def cost(self, method: str, k: int) -> tuple[float, bool]:
-        """(cost, measured): beyond the last k that was run, the last cost continued by the known law, ~ k or ~ 1."""
+        """(cost, measured).  Beyond the last k that was run the law is a + b k, through the last two that were; nan
+        where only one was."""
         ran = [c for c in self.of(method) if c.ran]
         known = {c.parameters: c.cost(self.unit) for c in ran}
         if k in known:
             return known[k], True
-        last = ran[-1]
-        return last.cost(self.unit) * (k / last.parameters) ** GROWTH[method], False
+        if len(ran) < 2:
+            return float("nan"), False
+        (k1, c1), (k2, c2) = list(known.items())[-2:]
+        return max(c2, c2 + (c2 - c1) / (k2 - k1) * (k - k2)), False
 
     def to_dict(self) -> dict[str, Any]:
         """Everything as JSON's kinds."""
         parts = asdict(self) | {"band": self.band, "growth": {m: self.growth(m) for m in self.methods}}
         found: dict[str, Any] = finite(parts)
         return found
+
+
+# Which methods run there does not depend on the machine
+QUICK = Sweep((1, 10, 100, 1000), limit=float("inf"), most=250, rounds=1)
+SHORT = Sweep((1, 10, 50, 500), limit=float("inf"), most=110, rounds=1, samples=2)
 
 
 def gradient_cost(
@@ -334,12 +345,12 @@ def _level(net: Net, k: int, sweep: Sweep, before: Sequence[Cell], progress: Cal
     """One number of parameters: errors of sampled entries first, then the whole gradients, timed side by side."""
     progress(f"{k} parameters, errors")
     cells = {name: Cell(name, k, error) for name, error in errors(net, k, sweep.samples).items()}
-    chosen, work = [name for name in METHODS if _expected(name, k, sweep, before) <= sweep.limit], {}
+    chosen, work = [name for name in METHODS if _affordable(name, k, sweep, before)], dict[str, Work]()
     progress(f"{k} parameters, {'timing' if sweep.rounds else 'counting'} {len(chosen)} methods")
 
     def whole(name: str) -> None:
         work[name] = Work()
-        METHODS[name](net, np.ones(k), range(k), work[name])
+        METHODS[name](net, np.ones(k), np.arange(k), work[name])
 
     if not sweep.rounds:
         for name in chosen:
@@ -354,15 +365,21 @@ def _level(net: Net, k: int, sweep: Sweep, before: Sequence[Cell], progress: Cal
     return list(cells.values())
 
 
-def _expected(name: str, k: int, sweep: Sweep, before: Sequence[Cell]) -> float:
-    """The cost by the known law; nothing where nothing was measured yet.  What was over the limit stays so."""
+def _affordable(name: str, k: int, sweep: Sweep, before: Sequence[Cell]) -> bool:
+    """Whether the method stays within both limits.  What was over a limit stays so."""
     mine = [c for c in before if c.method == name]
-    if not mine:
+    if mine and not mine[-1].ran:
+        return False
+    within = _expected(mine, k, "passes") <= sweep.most
+    return within and (not sweep.rounds or _expected(mine, k, "seconds") <= sweep.limit)
+
+
+def _expected(mine: Sequence[Cell], k: int, unit: str) -> float:
+    """The cost, with the growth between the last two k, at most proportional; 0 with fewer than two."""
+    if len(mine) < 2:
         return 0.0
-    if not mine[-1].ran:
-        return float("inf")
-    cost = mine[-1].cost("seconds" if sweep.rounds else "passes")
-    return float(cost * (k / mine[-1].parameters) ** GROWTH[name])
+    (k1, c1), (k2, c2) = ((c.parameters, c.cost(unit)) for c in mine[-2:])
+    return float(c2 * (k / k2) ** np.clip(np.log(c2 / c1) / np.log(k2 / k1), 0.0, 1.0))
 
 
 def errors(net: Net, k: int, samples: int = 4) -> dict[str, float]:
@@ -377,3 +394,16 @@ def errors(net: Net, k: int, samples: int = 4) -> dict[str, float]:
     scale = np.abs(truth).max()
     found = {name: method(net, p, entries, work) for name, method in METHODS.items()}
     return {name: float(np.abs(gradient - truth).max() / scale) for name, gradient in found.items()}
+
+
+def cost_checks(study: CostStudy) -> list[Check]:
+    """Passes grow as the laws say, and what claims all digits has them."""
+    checks = [Check("plain program", "J as dsim has it", study.agreement <= 1e-13, study.agreement, "<= 1e-13")]
+    for method in study.methods:
+        law, found = GROWTH[method], study.growth(method)
+        statement = "passes ~ parameters ^"
+        checks.append(Check(method, statement, bool(abs(found - law) <= 0.1), found, f"{law} +- 0.1"))
+    for method, bound in BOUNDS.items():
+        error = max(cell.error for cell in study.of(method))
+        checks.append(Check(method, "error of the gradient", bool(error <= bound), error, f"<= {bound:.0e}"))
+    return checks
