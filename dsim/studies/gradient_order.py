@@ -31,7 +31,8 @@ SHORT = Sweep(levels=4, costly=3, rounds=0)
 def slack_band() -> Problem:
     """A point on a rubber band that goes slack: f = -max(x, 0), k = m = 1; from x = 1 at rest to t = 3 pi/2.
 
-    x = cos t until pi/2, then pi/2 - t.  The force is continuous: dy(T)/dy0 = [[1, T - pi/2], [0, 1]] [[0, 1], [-1, 0]].
+    x = cos t until pi/2, then pi/2 - t.  The force is continuous, so dy(T)/dy0 is a product,
+    [[1, T - pi/2], [0, 1]] [[0, 1], [-1, 0]].
     """
     crossing, duration = np.pi / 2, 1.5 * np.pi
 
