@@ -36,10 +36,7 @@ def adjoint(trajectory: Trajectory, dJdy: Any, dJdtheta: Any = None) -> Gradient
     """
     stepper, system = trajectory.differentiable()
     steps = len(trajectory.t) - 1
-    dJdy = as_array("dJdy", dJdy)
-    if dJdy.shape not in ((steps + 1, system.size), (system.size,)):
-        last = f"({system.size},) for the last state alone"
-        raise ValueError(f"dJdy must have shape {(steps + 1, system.size)}, or {last}; got {dJdy.shape}")
+    dJdy = as_loads("dJdy", dJdy, trajectory)
     final = dJdy.ndim == 1
     by_first = dJdy if final and steps == 0 else 0.0 if final else dJdy[0]
     if trajectory.run is not None:
@@ -55,6 +52,16 @@ def adjoint(trajectory: Trajectory, dJdy: Any, dJdtheta: Any = None) -> Gradient
     if stepper.history > 1:
         mu = stepper.linearize(system, trajectory.start()).pullback(mu, theta_bar)
     return gradient_of(system, mu + by_first, theta_bar, dJdtheta)
+
+
+def as_loads(name: str, value: Any, trajectory: Trajectory) -> Array:
+    """A derivative by every state, (N+1,ny), or by the last alone, (ny,); else ValueError."""
+    size = trajectory.attached()[1].size
+    loads = as_array(name, value)
+    if loads.shape not in ((len(trajectory.t), size), (size,)):
+        last = f"({size},) for the last state alone"
+        raise ValueError(f"{name} must have shape {(len(trajectory.t), size)}, or {last}; got {loads.shape}")
+    return loads
 
 
 def gradient_of(system: Any, by_start: Array, by_theta: Array, dJdtheta: Any = None) -> Gradient:
