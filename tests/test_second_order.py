@@ -364,6 +364,18 @@ def test_effects_of_users(case: str, stepper: Any) -> None:
     assert apart(found, measured(stepper, system, y0, objective, d)) < 1e-8
 
 
+def test_a_parameter_without_dtheta_does_not_count() -> None:
+    """In the products as in gradients and sensitivities: whatever the direction says of it."""
+    system = System([1.0, 2.0], Bare(), 1)
+    trajectory = simulate(SymplecticEuler(), system, [0.5, 1.0, 0.0, 1.0], H, STEPS)
+    change = np.array([0.3, -0.2, 0.0])
+    still = hessian_product(trajectory, np.ones(4), (np.ones(4), change))
+    turned = hessian_product(trajectory, np.ones(4), (np.ones(4), change + [0.0, 0.0, 5.0]))
+    np.testing.assert_array_equal(turned.y0, still.y0)
+    np.testing.assert_array_equal(turned.theta, still.theta)
+    assert np.abs(still.y0).max() > 1e-4 and still["bare.stiffness"] == 0
+
+
 def test_a_stale_curvature_is_not_used() -> None:
     """Mutation: with the curvature of Springs, the subclass with another force would be wrong."""
     hardening = Hardening([(0, 1), (1, 2), (2, 3), (3, 4)], 0.8, 20.0)
