@@ -23,12 +23,14 @@ if TYPE_CHECKING:
     from dsim.simulation import simulate as simulate
     from dsim.solve import Status as Status
     from dsim.solve import newton as newton
+    from dsim.steppers.checkpoints import Checkpoints as Checkpoints
     from dsim.system import Flow as Flow
     from dsim.system import System as System
 
 __version__ = "0.1.0"
 
 _HOMES = {
+    "Checkpoints": "dsim.steppers.checkpoints",
     "Flow": "dsim.system",
     "Gradient": "dsim.gradients",
     "ReducedObjective": "dsim.gradients",

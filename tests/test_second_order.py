@@ -370,7 +370,7 @@ def test_a_parameter_without_dtheta_does_not_count() -> None:
     trajectory = simulate(SymplecticEuler(), system, [0.5, 1.0, 0.0, 1.0], H, STEPS)
     change = np.array([0.3, -0.2, 0.0])
     still = hessian_product(trajectory, np.ones(4), (np.ones(4), change))
-    turned = hessian_product(trajectory, np.ones(4), (np.ones(4), change + [0.0, 0.0, 5.0]))
+    turned = hessian_product(trajectory, np.ones(4), (np.ones(4), change + np.array([0.0, 0.0, 5.0])))
     np.testing.assert_array_equal(turned.y0, still.y0)
     np.testing.assert_array_equal(turned.theta, still.theta)
     assert np.abs(still.y0).max() > 1e-4 and still["bare.stiffness"] == 0

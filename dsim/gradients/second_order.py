@@ -109,6 +109,8 @@ def as_direction(system: Any, direction: Any) -> tuple[Array, Array]:
 
 
 def _add_loads(total: Array, name: str, given: Any, trajectory: Trajectory) -> None:
+    if callable(given):
+        given = [given(n, y) for n, y in enumerate(trajectory.y)]
     loads = as_loads(name, given, trajectory)
     if loads.ndim == 2:
         total += loads
