@@ -102,6 +102,9 @@ def plan(
     forbid: Annotated[
         list[str] | None, typer.Option("--forbid", help="Leave this effect out; warns if it acts.", metavar="EFFECT")
     ] = None,
+    snapshots: Annotated[
+        int | None, typer.Option("--snapshots", help="Take a gradient with K states kept.", metavar="K")
+    ] = None,
 ) -> None:
     """What a run evaluates, what stays off and why, and what it really took.
 
@@ -118,10 +121,13 @@ def plan(
     `dsim plan soft_body --to pay_back.png` - the same as a picture
 
     `dsim plan cloth --forbid drag` - without one of its effects, and a warning that it would act
+
+    `dsim plan chain --snapshots 5` - memory and recomputation of a gradient with 5 states kept, foretold and taken
     """
     from dsim.report import showing
 
-    raise typer.Exit(showing.planned(showing.prepared(scene, stepper, h), gradient, pay_back, to, tuple(forbid or ())))
+    ready = showing.prepared(scene, stepper, h)
+    raise typer.Exit(showing.planned(ready, gradient, pay_back, to, tuple(forbid or ()), snapshots))
 
 
 @app.command()

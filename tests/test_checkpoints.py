@@ -11,13 +11,15 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from typer.testing import CliRunner
 
-from dsim import catalog, scenes
+from dsim import catalog, plan, scenes
 from dsim.arrays.checks import Array
+from dsim.cli import app
 from dsim.effects import Gravity, Springs
 from dsim.gradients import adjoint
 from dsim.simulation import SimulationError, record, simulate
-from dsim.steppers import BackwardEuler, ForwardEuler, RuleStepper, SymplecticEuler
+from dsim.steppers import BDF2, BackwardEuler, ForwardEuler, RuleStepper, SymplecticEuler
 from dsim.steppers import replay as replaying
 from dsim.steppers.checkpoints import Action, Checkpoints
 from dsim.system import System
@@ -68,9 +70,9 @@ def executed(steps: int, snapshots: int) -> tuple[Counter[int], int]:
 def test_schedule_is_optimal(snapshots: int) -> None:
     for steps in range(1, 41):
         taken, most = executed(steps, snapshots)
-        plan = Checkpoints(snapshots)
-        assert taken.total() == plan.advances(steps) == fewest(steps, snapshots) + 1
-        assert max(taken.values()) == plan.most(steps) and most == plan.stored(steps)
+        binomial = Checkpoints(snapshots)
+        assert taken.total() == binomial.advances(steps) == fewest(steps, snapshots) + 1
+        assert max(taken.values()) == binomial.most(steps) and most == binomial.stored(steps)
 
 
 @given(st.integers(1, 1200), st.integers(1, 60))
@@ -78,9 +80,9 @@ def test_no_step_is_taken_more_often_than_foretold(steps: int, snapshots: int) -
     if snapshots == 1:
         steps = min(steps, 60)
     taken, most = executed(steps, snapshots)
-    plan = Checkpoints(snapshots)
-    assert taken.total() == plan.advances(steps) and set(taken) == set(range(steps))
-    assert max(taken.values()) <= plan.most(steps) and most == plan.stored(steps)
+    binomial = Checkpoints(snapshots)
+    assert taken.total() == binomial.advances(steps) and set(taken) == set(range(steps))
+    assert max(taken.values()) <= binomial.most(steps) and most == binomial.stored(steps)
 
 
 def test_the_figures_of_the_literature() -> None:
@@ -124,9 +126,9 @@ def test_gradient_has_the_bits_of_the_full_tape(stepper: RuleStepper, snapshots:
 def test_on_coordinate_rows(stepper: RuleStepper) -> None:
     """Runs in place, with and without a tape; forces are evaluated as often as the schedule says."""
     cloth, steps = scenes.cloth(n=3), 40
-    h, plan = cloth.h / 10, Checkpoints(4)
+    h, binomial = cloth.h / 10, Checkpoints(4)
     full = simulate(stepper, cloth.system, cloth.y0, h, steps)
-    few = simulate(stepper, cloth.system, cloth.y0, h, steps, keep=plan)
+    few = simulate(stepper, cloth.system, cloth.y0, h, steps, keep=binomial)
     assert full.run is not None and few.snapshots is not None
     run = few.snapshots.replay.run  # type: ignore[attr-defined]
     assert run.evaluations == few.counters.forces == full.counters.forces
@@ -136,7 +138,9 @@ def test_on_coordinate_rows(stepper: RuleStepper) -> None:
     taped = adjoint(simulate(stepper, cloth.system, cloth.y0, h, steps, keep="steps"), by_square)
     near = {"rtol": 1e-11, "atol": 1e-13 * np.abs(taped.theta).max()}  # RK4 saves its stages in other arithmetic
     np.testing.assert_allclose(gradient.theta, taped.theta, **near)
-    assert run.evaluations == (plan.advances(steps) + steps) * run.stages  # and one evaluation a step for its pullback
+    assert (
+        run.evaluations == (binomial.advances(steps) + steps) * run.stages
+    )  # and one evaluation a step for its pullback
     assert same(adjoint(few, by_square), gradient), "asking again must not change the answer"
 
 
@@ -150,6 +154,27 @@ def test_a_thousand_and_one_steps() -> None:
     assert same(gradient, adjoint(full, full.y))
     assert 1001 + gradient.recomputed == 3641
     assert few.tape_bytes == (10 + 2) * 8 * 8 and full.tape_bytes == 1002 * 8 * 8
+
+
+@pytest.mark.parametrize("stepper", [SymplecticEuler(), BackwardEuler(), BDF2()], ids=lambda s: type(s).__name__)
+def test_the_plan_is_met(stepper: Any) -> None:
+    """Memory and recomputation, foretold before the run."""
+    steps, few = 30, Checkpoints(4)
+    cloth = scenes.cloth(n=2)
+    foretold = plan(cloth.system, stepper, cloth.y0, 0.01, want=("gradient",)).recomputation(steps, few)
+    trajectory = simulate(stepper, cloth.system, cloth.y0, 0.01, steps, keep=few)
+    again = adjoint(trajectory, np.ones(cloth.system.size)).recomputed
+    assert (trajectory.tape_bytes, steps + again) == (foretold.bytes, foretold.advances)
+    assert foretold.most == 3 and str(foretold).endswith("none more than 3 times")
+
+
+def test_the_plan_is_printed_with_what_was_taken() -> None:
+    result = CliRunner().invoke(app, ["plan", "projectile", "--snapshots", "3"])
+    assert result.exit_code == 0
+    assert " predicted: 160 bytes of states, " in result.stdout and " actual:    160 bytes, 90 + " in result.stdout
+    advances = Checkpoints(3).advances(90)
+    assert f"{advances} steps taken, none more than" in result.stdout and f"= {advances} steps" in result.stdout
+    assert isinstance(CliRunner().invoke(app, ["plan", "projectile", "--snapshots", "0"]).exception, ValueError)
 
 
 def test_path_objective_is_summed_on_the_way_back() -> None:

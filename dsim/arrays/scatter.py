@@ -166,14 +166,12 @@ def block_diagonal(blocks: Array) -> csr_array:
     return csr_array((blocks.ravel(), columns.ravel(), indptr), shape=(count * d, count * d))
 
 
-def block_columns(values: Array) -> csr_array:
-    """(N,d) -> CSR (N d, N): the values of point i in column i."""
+def few_columns(values: Array, columns: NDArray[np.int64], width: int) -> csr_array:
+    """CSR (n,width) with the entries values (n,k) of every row at columns (n,k), increasing."""
     from scipy.sparse import csr_array
 
-    count, d = values.shape
-    return csr_array(
-        (values.ravel(), np.repeat(np.arange(count), d), np.arange(count * d + 1)), shape=(count * d, count)
-    )
+    rows, count = values.shape
+    return csr_array((values.ravel(), columns.ravel(), count * np.arange(rows + 1)), shape=(rows, width))
 
 
 def pointwise_jacobian(f: object, x: Array) -> Array:

@@ -41,7 +41,7 @@ def adjoint(trajectory: Trajectory, dJdy: Any, dJdtheta: Any = None) -> Gradient
     number of parameters.  Raises ValueError on a wrong shape, a trajectory without its system, or one that failed.
     """
     _, system = trajectory.differentiable()
-    load = _load(dJdy, len(trajectory.t) - 1, system.size)
+    load = _load(dJdy, trajectory)
     again = 0
     if trajectory.snapshots is not None:
         mu, theta_bar, again = trajectory.snapshots.backward(load)
@@ -53,17 +53,25 @@ def adjoint(trajectory: Trajectory, dJdy: Any, dJdtheta: Any = None) -> Gradient
     return gradient_of(system, mu if first is None else mu + first, theta_bar, dJdtheta, again)
 
 
-def _load(dJdy: Any, steps: int, size: int) -> Load:
+def _load(dJdy: Any, trajectory: Trajectory) -> Load:
     """dJ/dy_n on demand, checked."""
     if callable(dJdy):
+        size = trajectory.attached()[1].size
         return lambda n, y: as_array(f"dJdy at n = {n}", dJdy(n, y), (size,))
-    array = as_array("dJdy", dJdy)
-    if array.shape == (size,):
+    array, steps = as_loads("dJdy", dJdy, trajectory), len(trajectory.t) - 1
+    if array.ndim == 1:
         return lambda n, y: array if n == steps else None
-    if array.shape != (steps + 1, size):
-        last = f"({size},) for the last state alone"
-        raise ValueError(f"dJdy must have shape {(steps + 1, size)}, or {last}; got {array.shape}")
     return lambda n, y: array[n]
+
+
+def as_loads(name: str, value: Any, trajectory: Trajectory) -> Array:
+    """A derivative by every state, (N+1,ny), or by the last alone, (ny,); else ValueError."""
+    size = trajectory.attached()[1].size
+    loads = as_array(name, value)
+    if loads.shape not in ((len(trajectory.t), size), (size,)):
+        last = f"({size},) for the last state alone"
+        raise ValueError(f"{name} must have shape {(len(trajectory.t), size)}, or {last}; got {loads.shape}")
+    return loads
 
 
 def _over_rows(trajectory: Trajectory, load: Load) -> tuple[Array, Array]:

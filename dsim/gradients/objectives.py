@@ -9,16 +9,20 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
-from functools import cached_property
-from typing import Any
+from functools import cached_property, partial
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dsim.arrays.checks import Array, as_array
 from dsim.gradients.adjoint import Gradient, adjoint
+from dsim.gradients.second_order import Linearizations, hessian_product, jacobian_product, jacobian_transposed
 from dsim.gradients.sensitivity import sensitivities
 from dsim.simulation import Trajectory
+
+if TYPE_CHECKING:
+    from scipy.sparse.linalg import LinearOperator
 
 Run = Callable[[Any, Array], Trajectory]  # (system, y0) -> trajectory
 
@@ -119,6 +123,8 @@ class ReducedObjective:
     run: (system, y0) -> trajectory, for instance a `simulate` with its stepper, h and steps.
     objective: trajectory -> (O, dO/dy) with dO/dy (N+1,ny), or (ny,) for one of the last state; with a third entry
     dO/dtheta, (P,) or named parts, where O depends on the parameters itself.
+    second: for `hessp`, what the objective itself bends: (trajectory, dy (N+1,ny), dtheta (P,)) -> the change of dO/dy,
+    or a pair with the change of dO/dtheta, as d2J of `hessian_product`.
     Raises ValueError where O is not finite or a derivative has another shape, SimulationError where a run fails.
 
     >>> import scipy.optimize
@@ -132,16 +138,50 @@ class ReducedObjective:
     >>> found = scipy.optimize.minimize(ReducedObjective(run, aim, miss), aim.start, jac=True)
     >>> bool(found.fun < 1e-10)
     True
+
+    With the Hessian's products, Newton's method:
+
+    >>> def bends(trajectory, dy, dtheta):
+    ...     return np.append(dy[-1, :2], [0.0, 0.0])
+    >>> fit = ReducedObjective(run, aim, miss, bends)
+    >>> found = scipy.optimize.minimize(fit, aim.start, jac=True, hessp=fit.hessp, method="trust-ncg")
+    >>> bool(found.fun < 1e-20)
+    True
     """
 
     run: Run
     variables: Variables
     objective: Callable[[Trajectory], Any]
+    second: Callable[[Trajectory, Array, Array], Any] | None = None
+    _last: dict[bytes, tuple[Linearizations, float, Any, Any]] = field(default_factory=dict, init=False, repr=False)
 
     def __call__(self, p: Any) -> tuple[float, Array]:
-        trajectory = self.run(*self.variables.place(p))
-        value, dOdy, dOdtheta = _answer(self.objective(trajectory))
+        linear, value, dOdy, dOdtheta = self._at(p)
+        trajectory = linear.trajectory
         return value, self.variables.gather(adjoint(trajectory, dOdy, dOdtheta))
+
+    def hessp(self, p: Any, dp: Any) -> Array:
+        """d2O/dp2 dp (k,), exact: for `minimize(fit, start, jac=True, hessp=fit.hessp, method="trust-ncg")`, or
+        "Newton-CG", "trust-krylov", "trust-constr".  Products at one p share the run and its factors."""
+        second = self.second
+        if second is None:
+            raise ValueError("second must be given to ReducedObjective for hessp: the change of dOdy along a path's")
+        linear, _, dOdy, _ = self._at(p)
+        direction = self.variables.spread(as_array("dp", np.ravel(dp), (len(self.variables),)))
+        bends = partial(second, linear.trajectory)
+        return self.variables.gather(hessian_product(linear.trajectory, dOdy, direction, bends, linear))
+
+    def _at(self, p: Any) -> tuple[Linearizations, float, Any, Any]:
+        """The run at p and what the objective says of it; the last one is kept where products are asked for."""
+        key = np.asarray(p, dtype=float).tobytes()
+        if key in self._last:
+            return self._last[key]
+        trajectory = self.run(*self.variables.place(p))
+        found = (Linearizations(trajectory), *_answer(self.objective(trajectory)))
+        if self.second is not None:
+            self._last.clear()
+            self._last[key] = found
+        return found
 
 
 def _answer(answer: Any) -> tuple[float, Any, Any]:
@@ -190,6 +230,24 @@ class Residuals:
             if block.nnz:
                 total += block @ change
         return total if drdtheta is None else total + drdtheta @ dtheta
+
+    def operator(self, p: Any) -> LinearOperator:
+        """dr/dp (m,k) as an operator: a product is one tangent sweep, one with the transpose one adjoint sweep.
+
+        For many variables, `least_squares(r, start, jac=r.operator, tr_solver="lsmr")`; J^T J d is the Gauss-Newton
+        product.
+        """
+        from scipy.sparse.linalg import LinearOperator
+
+        trajectory, r, drdy, drdtheta = self._at(p)
+
+        def matvec(dp: Array) -> Array:
+            return jacobian_product(trajectory, drdy, self.variables.spread(np.ravel(dp)), drdtheta)
+
+        def rmatvec(u: Array) -> Array:
+            return self.variables.gather(jacobian_transposed(trajectory, drdy, np.ravel(u), drdtheta))
+
+        return LinearOperator((len(r), len(self.variables)), matvec=matvec, rmatvec=rmatvec, dtype=float)
 
 
 def _residual_answer(answer: Any, trajectory: Trajectory) -> tuple[Array, Any, Any]:

@@ -27,7 +27,7 @@ def sensitivity(trajectory: Trajectory, dy0: Any = None, dtheta: Any = None) -> 
 def sensitivities(trajectory: Trajectory, dy0: Any = None, dtheta: Any = None) -> Iterator[Array]:
     """`sensitivity`, one state after the other: memory for one (ny,k) instead of all N+1."""
     stepper, system = trajectory.differentiable()
-    change, by_theta = _columns(system, dy0, dtheta)
+    change, by_theta = as_changes(system, dy0, dtheta)
     yield change
     if stepper.history > 1:
         change = stepper.linearize(system, trajectory.start()).tangent(change, by_theta)
@@ -36,7 +36,7 @@ def sensitivities(trajectory: Trajectory, dy0: Any = None, dtheta: Any = None) -
         yield change[: system.size]
 
 
-def _columns(system: Any, dy0: Any, dtheta: Any) -> tuple[Array, Array]:
+def as_changes(system: Any, dy0: Any, dtheta: Any) -> tuple[Array, Array]:
     """Both changes as floats with the same number of columns, what is missing as zeros."""
     given = {"dy0": (dy0, system.size), "dtheta": (dtheta, system.parameter_count)}
     changes = {name: as_array(name, value) for name, (value, _) in given.items() if value is not None}

@@ -90,11 +90,13 @@ def _parts(task: _Range) -> list[Action | _Range]:
     if end - first == 1:
         return pull
     if snapshots == 1:
-        earlier: list[Action | _Range] = [Action("restore", first), _Range(first, end - 1, 1)]
-        return [Action("advance", first, end - 1), *pull, *earlier]
+        pull.insert(0, Action("advance", first, end - 1))
+        return [*pull, Action("restore", first), _Range(first, end - 1, 1)]
     middle = first + _split(end - first, snapshots)
-    later = [Action("advance", first, middle), Action("snapshot", middle), _Range(middle, end, snapshots - 1, last)]
-    return [*later, Action("forget", middle), Action("restore", first), _Range(first, middle, snapshots)]
+    later = _Range(middle, end, snapshots - 1, last)
+    earlier = _Range(first, middle, snapshots)
+    there, back = Action("advance", first, middle), Action("restore", first)
+    return [there, Action("snapshot", middle), later, Action("forget", middle), back, earlier]
 
 
 def _split(steps: int, snapshots: int) -> int:
