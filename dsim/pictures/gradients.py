@@ -53,7 +53,8 @@ def gradient_orders(studies: Mapping[str, Study]) -> Figure:
         panel.set_ylabel("")
         steps = sorted({cell.setting for cell in study.cells})[::2]
         panel.set_xticks(steps, [f"{h:.2g}" for h in steps])
-        panel.xaxis.set_minor_locator(NullLocator())
+        for axis in (panel.xaxis, panel.yaxis):
+            axis.set_minor_locator(NullLocator())
         words = "solid: state, dashed: gradient; their orders"
         place = {"loc": "upper center", "bbox_to_anchor": (0.5, -0.14), "frameon": False}
         panel.legend(fontsize=8.5, title=words, title_fontsize=8.5, **place)

@@ -38,7 +38,6 @@ from dsim.studies.work_precision import (
 ASYMPTOTIC = 0.999  # R^2 of a fit that deserves to be called an order
 QUICK_PROBLEMS = ("projectile", "pendulum")  # the others when they are named
 GRADIENTS = "gradients"  # beside the problems: what gradients cost, and how they converge
-SHARED = Store()  # what a section of the report counted, the next one need not
 
 
 def methods(problem: problems.Problem) -> tuple[Method, ...]:
@@ -185,7 +184,7 @@ def accuracy(progress: model.Progress, full: bool = False) -> Section:
     found: list[Table] = []
     drawn: list[Picture] = []
     for problem in chosen:
-        study = work_precision(problem, methods(problem), QUICK if full else COUNTED, SHARED, progress)
+        study = work_precision(problem, methods(problem), QUICK if full else COUNTED, None, progress)
         found += tables(study)
         checks += study_checks(study)
         alt = f"Error of state and gradient over {study.unit} for {len(study.methods)} methods on {study.problem}."

@@ -12,10 +12,9 @@ from dsim.pictures.style import save
 from dsim.report.model import Cell, Table
 from dsim.studies import gradient_cost as cost
 from dsim.studies import gradient_order as order
-from dsim.studies import problems
 from dsim.studies.cells import Store
 from dsim.studies.check import Check
-from dsim.studies.work_precision import COUNTED, Study, work_precision
+from dsim.studies.work_precision import Study, work_precision
 
 
 @dataclass(frozen=True)
@@ -47,11 +46,11 @@ def measure(quick: bool, store: Store, progress: Callable[[str], None]) -> Resul
 
 def orders(quick: bool, store: Store, progress: Callable[[str], None]) -> dict[str, Study]:
     """State and gradient over h where the force is smooth, has a kink, has a jump."""
-    smooth = work_precision(problems.pendulum(), order.METHODS, COUNTED if quick else order.SWEEP, store, progress)
     sweep = order.SHORT if quick else order.SWEEP
+    smooth = work_precision(order.marble_in_a_bowl(), order.METHODS, sweep, store, progress)
     kink = work_precision(order.slack_band(), order.EXPLICIT if quick else order.METHODS, sweep, store, progress)
     jump = work_precision(order.edge_of_a_fan(), order.EXPLICIT, sweep, store, progress)
-    return {"smooth: pendulum": smooth, "kink: slack band": kink, "jump: edge of a fan": jump}
+    return {"smooth: marble in a bowl": smooth, "kink: slack band": kink, "jump: edge of a fan": jump}
 
 
 def draw(results: Results, to: Path) -> None:

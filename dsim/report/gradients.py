@@ -11,12 +11,12 @@ from dsim.pictures import gradients as pictures
 from dsim.pictures.block_system import spy
 from dsim.pictures.style import to_svg
 from dsim.report import gradient_cost as costs
-from dsim.report.accuracy import SHARED
 from dsim.report.model import Picture, Progress, Section, Table
 from dsim.simulation import simulate
 from dsim.steppers import BackwardEuler, TwoStepBackwardEuler
 from dsim.studies import gradient_cost as cost
 from dsim.studies import three_ways as ways
+from dsim.studies.cells import Store
 from dsim.studies.check import Check
 from dsim.studies.gradient_order import order_checks
 
@@ -98,8 +98,8 @@ def cost_over_parameters(progress: Progress, full: bool) -> Part:
 
 def convergence(progress: Progress, full: bool) -> Part:
     """The gradient's error over h beside the state's."""
-    studies = costs.orders(not full, SHARED, progress)
-    alt = "Errors over h: state and gradient parallel on the pendulum, apart at a kink, the gradient flat at a jump."
+    studies = costs.orders(not full, Store(), progress)
+    alt = "Errors over h: state and gradient parallel where the force is smooth, apart at a kink, the gradient flat at a jump."
     caption = "On the fan's edge the true dx(T)/dx(0) is -1; every program that steps across it says +1."
     picture = Picture(to_svg(pictures.gradient_orders(studies)), alt, caption, "dsim accuracy gradients")
     return Part(order_checks(*studies.values()), (costs.order_table(studies),), (picture,))

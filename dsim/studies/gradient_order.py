@@ -2,8 +2,8 @@
 
 The adjoint is the exact derivative of the program.  What that derivative converges to is another question: a step that
 crosses a kink or a jump of the force has a small error in the state, and one that is larger by 1/h in its derivative.
-Both problems here have closed forms, and they cross after a third of the time: a third or two thirds into a step when
-the number of steps is a power of two, never at its end.
+All three problems have closed forms.  Kink and jump are crossed after a third of the time: a third or two thirds into
+a step when the number of steps is a power of two, never at its end.
 """
 
 from __future__ import annotations
@@ -25,6 +25,30 @@ METHODS = (SymplecticEuler(), ImplicitMidpoint(), VelocityVerlet(), RK4())
 EXPLICIT = (SymplecticEuler(), VelocityVerlet(), RK4())  # at a jump Newton may have nothing to converge to
 SWEEP = Sweep(levels=7, costly=5, rounds=0)
 SHORT = Sweep(levels=4, costly=3, rounds=0)
+
+
+@lru_cache(maxsize=1)
+def marble_in_a_bowl() -> Problem:
+    """The distance x from the axis of a marble that circles in a bowl: f = -x + 1/x^3, k = m = L = 1; smooth.
+
+    In the plane the motion is (x0 cos t + v0 sin t, sin t / x0), and x is its length; from x = 3/2 at rest to t = 4.
+    """
+    start, duration, tiny = np.array([1.5, 0.0]), 4.0, 1e-30
+
+    def motion(y0: Array, t: float) -> Array:
+        cos, sin = np.cos(t), np.sin(t)
+        along, across = y0[0] * cos + y0[1] * sin, sin / y0[0]
+        x = np.sqrt(along**2 + across**2)
+        return np.array([x, (along * (y0[1] * cos - y0[0] * sin) + across * cos / y0[0]) / x])
+
+    bowl = Field(
+        lambda x: -x + x**-3,
+        lambda x: (-1 - 3 * x**-4)[:, :, None],
+        lambda x: (x[:, 0] ** 2 + x[:, 0] ** -2) / 2,
+        name="bowl",
+    )
+    slope = np.stack([motion(start + 1j * tiny * e, duration).imag / tiny for e in np.eye(2)], axis=1)
+    return _problem("marble-in-a-bowl", bowl, lambda t: motion(start, t), duration, slope)
 
 
 @lru_cache(maxsize=1)

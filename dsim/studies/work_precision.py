@@ -271,7 +271,7 @@ def work_precision(
         for method in methods:
             settings = sweep.settings(problem, method)
             if level < len(settings):
-                kept = _kept(store, problem, method, settings[level], sweep)
+                kept = store.get(*_key(problem, method, settings[level], sweep))
                 if kept is None:
                     missing[name_of(method)] = (method, settings[level])
                 else:
@@ -320,26 +320,20 @@ def _measure_level(
         progress(f"{problem.name}, {name}, {_words(method, setting)}")
         cells[name] = measure(problem, method, setting)
         if not sweep.rounds or cells[name].failed:
-            store.put(asdict(cells[name]), *_key(problem, method, setting, sweep.rounds > 0))
+            store.put(asdict(cells[name]), *_key(problem, method, setting, sweep))
     alive = {name: missing[name] for name, cell in cells.items() if not cell.failed}
     if sweep.rounds and alive:
         progress(f"{problem.name}, timing {len(alive)} methods")
         for name, cell in _timed(problem, alive, cells, sweep.rounds).items():
             cells[name] = cell
-            store.put(asdict(cell), *_key(problem, *alive[name], timed=True))
+            store.put(asdict(cell), *_key(problem, *alive[name], sweep))
     return list(cells.values())
 
 
-def _kept(store: Store, problem: Problem, method: Method, setting: float, sweep: Sweep) -> dict[str, Any] | None:
-    """The finished cell; where no seconds are wanted, one that was timed will do."""
-    if not sweep.rounds and (counted := store.get(*_key(problem, method, setting, timed=False))):
-        return counted
-    return store.get(*_key(problem, method, setting, timed=True))
-
-
-def _key(problem: Problem, method: Method, setting: float, timed: bool) -> tuple[str, ...]:
+def _key(problem: Problem, method: Method, setting: float, sweep: Sweep) -> tuple[str, ...]:
     label = f"{name_of(method)} {method!r}" if hasattr(method, "__dataclass_fields__") else name_of(method)
-    return *_identity(problem), label, _formula(method), repr(setting), "timed" if timed else "counted"
+    kind = "timed" if sweep.rounds else "counted"
+    return *_identity(problem), label, _formula(method), repr(setting), kind
 
 
 def _formula(method: Method) -> str:
