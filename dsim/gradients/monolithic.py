@@ -24,7 +24,7 @@ class BlockSystem:
     """dG/dx (N m, N m) and dG/dp (N m, ny + P), p = (y0, theta).
 
     m is the size of a step's state: ny, or 2 ny for two-step methods, whose first block row is the step that makes
-    the past.  `ticks` (N+1,) are the first rows of the blocks.
+    the past; `reduced` has ny for them too.  `ticks` (N+1,) are the first rows of the blocks.
     """
 
     trajectory: Trajectory

@@ -99,10 +99,11 @@ def cost_over_parameters(progress: Progress, full: bool) -> Part:
 def convergence(progress: Progress, full: bool) -> Part:
     """The gradient's error over h beside the state's."""
     studies = costs.orders(not full, Store(), progress)
-    alt = "Errors over h: state and gradient parallel where the force is smooth, apart at a kink, the gradient flat at a jump."
+    alt = "Errors over h: gradient like state on the smooth force, apart at a kink, the gradient flat at a jump."
     caption = "On the fan's edge the true dx(T)/dx(0) is -1; every program that steps across it says +1."
     picture = Picture(to_svg(pictures.gradient_orders(studies)), alt, caption, "dsim accuracy gradients")
     return Part(order_checks(*studies.values()), (costs.order_table(studies),), (picture,))
 
 
+# In the order of the page.  A topic more (optimisation, checkpoints, verdicts) is one more function here.
 PARTS: tuple[Callable[[Progress, bool], Part], ...] = (spy_plots, three_ways, cost_over_parameters, convergence)

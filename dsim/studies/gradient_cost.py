@@ -190,8 +190,7 @@ def by_adjoint(net: Net, p: Array, entries: Indices, work: Work) -> Array:
     work.sweeps += 1
     gradient = adjoint(trajectory, net.moved(trajectory.last))
     whole = np.bincount(net.groups(len(p)), net.stiffness * gradient["springs.stiffness"])
-    found: Array = whole[entries]
-    return found
+    return np.asarray(whole[entries], dtype=float)
 
 
 def _value(net: Net, p: Array, work: Work) -> float:

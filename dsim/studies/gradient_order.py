@@ -1,4 +1,4 @@
-"""Does the gradient converge like the state?  Where the force is smooth, yes; at a kink an order less; at a jump no.
+"""Does the gradient converge like the state?  Where the force is smooth, yes; at a kink order 1; at a jump no.
 
 The adjoint is the exact derivative of the program.  What that derivative converges to is another question: a step that
 crosses a kink or a jump of the force has a small error in the state, and one that is larger by 1/h in its derivative.
