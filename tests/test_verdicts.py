@@ -16,7 +16,7 @@ from dsim.pictures.style import to_png
 from dsim.report.auditing import caught
 from dsim.steppers import RK4, BackwardEuler, SymplecticEuler
 from dsim.studies import Simulator, audit
-from dsim.studies.horizons import damped, damped_slope, logistic, logistic_state, logistic_truth
+from dsim.studies.horizons import damped, damped_slope, logistic, logistic_state, logistic_truth, over_the_wall
 from dsim.studies.peers import agreement, cloth_problem, cloth_truth, of_program, twin
 from dsim.studies.planted import PlantedBug, right
 from dsim.studies.smoothing import Wall, by_quadrature, by_sampling
@@ -191,11 +191,7 @@ def test_a_ball_over_a_wall_is_biased_and_every_single_check_passes() -> None:
     assert abs(drawn.smoothed - fine.smoothed) < 4 * drawn.smoothed_error < 1e-3
     assert abs(drawn.mean - fine.mean) < 4 * drawn.mean_error < 1e-4
 
-    def objective(x: float) -> tuple[float, float]:
-        value, slope = wall.line(float(x))(np.zeros(1))
-        return float(value[0]), float(slope[0])
-
-    thrown = program(lambda x, n, h: objective(x)[0], lambda x, n, h: objective(x)[1], x=0.72, steps=1)
+    thrown = over_the_wall()
     assert judge_program(thrown).verdict == "right"
     assert judge_descent(thrown, sigma=0.1).verdict == "biased"
 

@@ -1,4 +1,5 @@
-"""How a derivative grows with the horizon, in closed form: a chaotic map, and a particle that drag brings to rest."""
+"""Programs whose derivatives are known and not always of use: a chaotic map, a particle that drag brings to rest, and
+a ball over a wall."""
 
 from __future__ import annotations
 
@@ -8,6 +9,7 @@ from dsim.arrays.checks import Array, as_array
 from dsim.effects import Drag
 from dsim.gradients.objectives import Variables
 from dsim.steppers import SymplecticEuler
+from dsim.studies.smoothing import Wall
 from dsim.studies.verdicts.simulator import Method, Simulator
 from dsim.system import System
 
@@ -60,3 +62,16 @@ def damped(c: float, h: float = 1e-3, updates: int = 999) -> Simulator:
     system = System([1.0], [Drag(c)], dimension=1)
     method = Method(SymplecticEuler(), Variables(system, np.array([0.0, 1.0]), ["velocities"]))
     return Simulator(f"drag {c:g} kg/s", method.variables.start, method.simulate, method.gradient, h, updates)
+
+
+def over_the_wall(theta: float = 0.72) -> Simulator:
+    """The throw of `smoothing.Wall`: J by the angle, right in every digit and blind to the wall's edge."""
+    wall = Wall()
+
+    def simulate(x: Array, steps: int, h: float) -> Array:
+        return wall.line(float(x[0]))(np.zeros(1))[0]
+
+    def gradient(x: Array, steps: int, h: float, w: Array) -> Array:
+        return w * wall.line(float(x[0]))(np.zeros(1))[1]
+
+    return Simulator("ball over a wall", as_array("theta", [theta]), simulate, gradient, 1.0, 1)
