@@ -109,7 +109,7 @@ def test_torch_gradcheck_sees_a_wrong_backward(bug: str, torch: Any, monkeypatch
     plant(monkeypatch, bug)
     variables = triangle()
     p = torch.tensor(variables.start, requires_grad=True)
-    with pytest.raises(torch.autograd.gradcheck.GradcheckError, match="Jacobian mismatch"):
+    with pytest.raises(RuntimeError, match="Jacobian mismatch"):
         torch.autograd.gradcheck(torch_layer(by(SymplecticEuler()), variables), p, atol=1e-6, rtol=1e-5)
 
 
