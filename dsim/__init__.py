@@ -11,8 +11,11 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from dsim.gradients import Equilibrium as Equilibrium
+    from dsim.gradients import EquilibriumError as EquilibriumError
     from dsim.gradients import Gradient as Gradient
     from dsim.gradients import adjoint as adjoint
+    from dsim.gradients import quasistatic as quasistatic
     from dsim.planning import plan as plan
     from dsim.simulation import SimulationError as SimulationError
     from dsim.simulation import Trajectory as Trajectory
@@ -25,6 +28,8 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 
 _HOMES = {
+    "Equilibrium": "dsim.gradients",
+    "EquilibriumError": "dsim.gradients",
     "Flow": "dsim.system",
     "Gradient": "dsim.gradients",
     "SimulationError": "dsim.simulation",
@@ -34,6 +39,7 @@ _HOMES = {
     "adjoint": "dsim.gradients",
     "newton": "dsim.solve",
     "plan": "dsim.planning",
+    "quasistatic": "dsim.gradients",
     "simulate": "dsim.simulation",
 }
 _MODULES = {"catalog", "effects", "gradients", "kernels", "pictures", "scenes", "simulation", "solve", "steppers",

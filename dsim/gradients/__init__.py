@@ -1,5 +1,6 @@
-"""Gradients of whole trajectories, from the steppers' own linearizations."""
+"""Gradients of whole trajectories and of equilibria, from linearizations that are stated elsewhere."""
 
 from dsim.gradients.adjoint import Gradient, adjoint
+from dsim.gradients.quasistatic import Equilibrium, EquilibriumError, quasistatic
 
-__all__ = ["Gradient", "adjoint"]
+__all__ = ["Equilibrium", "EquilibriumError", "Gradient", "adjoint", "quasistatic"]
