@@ -225,10 +225,10 @@ class System:
 
         total = csr_array((self.n, self.n))
         for effect in self.having(capability):
-            total = total + self._jacobian(effect, capability, place)
+            total = total + self.jacobian(effect, capability, place)
         return csr_array(total)
 
-    def _jacobian(self, effect: Any, capability: str, place: tuple[Any, ...]) -> csr_array:
+    def jacobian(self, effect: Any, capability: str, place: tuple[Any, ...]) -> csr_array:
         """An effect's dq or dv as CSR, whatever it came as; ValueError for another shape."""
         matrix = getattr(effect, capability)(*place)
         if np.shape(matrix) != (self.n, self.n):
@@ -292,7 +292,7 @@ class System:
         terms = [(1.0, diagonal(self.masses))]
         for weight, capability in zip(weights, ("dq", "dv"), strict=True):
             for effect in self.having(capability) if weight else ():
-                terms.append((-weight, self._jacobian(effect, capability, (t, *place))))
+                terms.append((-weight, self.jacobian(effect, capability, (t, *place))))
         return self._total(_key(weights), terms, self.masses)
 
     def _total(self, key: tuple[Any, ...], terms: Sequence[tuple[float, csr_array]], pinned: Array | float) -> Any:
@@ -320,7 +320,7 @@ class System:
         Effects whose K vanishes here (all damping does) are left out, so that they do not spoil its symmetry.
         """
         place = (t, q, np.zeros(self.n))
-        jacobians = [(effect, self._jacobian(effect, "dq", place)) for effect in self.having("dq")]
+        jacobians = [(effect, self.jacobian(effect, "dq", place)) for effect in self.having("dq")]
         acting = [(effect, matrix) for effect, matrix in jacobians if np.any(matrix.data)]
         size = float(sum(np.abs(matrix.data).max() for _, matrix in acting))
         key = ("stiffness", *(effect.name for effect, _ in acting))

@@ -203,11 +203,11 @@ class EquilibriumLinearization:
 
     def jacobian(self, *names: str) -> Array:
         """dx*/dp (n,p), the columns of the named parameters one after another; of all of theta without a name."""
-        parts = self.system.split(np.arange(self.system.parameter_count))
+        parts = self.system.split(np.arange(float(self.system.parameter_count)))
         for name in names:
             if name not in parts:
                 raise ValueError(f"no parameter is called {name!r}; this system has {', '.join(parts)}")
-        places = np.concatenate([np.ravel(parts[name]) for name in names or parts])
+        places = np.concatenate([np.ravel(parts[name]) for name in names or parts]).astype(int)
         return self._factor.solve(self._by_theta[:, places].toarray())
 
     def pullback(self, mu: Array, theta_bar: Array) -> Array:

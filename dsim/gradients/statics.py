@@ -73,7 +73,7 @@ class StaticProblem:
     def silent_at(self, q: Array) -> bool:
         """Whether the effects that have a stiffness but no energy do nothing at rest here: damping does nothing."""
         place = (self.t, q, self.rest)
-        return not any(self._of(e, q).any() or np.any(np.asarray(e.dq(*place).data)) for e in self.silent)
+        return not any(self._of(e, q).any() or self.system.jacobian(e, "dq", place).data.any() for e in self.silent)
 
     # The three functions of position
 
@@ -182,9 +182,7 @@ class StaticProblem:
             return Status.SINGULAR, relative
         return Status.UNSTABLE if self.conservative and relative < 0 else Status.CONVERGED, relative
 
-    def _lasting(
-        self, q: Array, mode: Mode, here: Stiffness, sides: tuple[Stiffness, Stiffness], reach: Array
-    ) -> bool:
+    def _lasting(self, q: Array, mode: Mode, here: Stiffness, sides: tuple[Stiffness, Stiffness], reach: Array) -> bool:
         """Whether the curvature along the mode stays within ten times its value on the curve q +- s + w/2, s the reach.
 
         K w = -dK[s] s, but for the mode itself: what is stiff gives way on the curve as it does in a motion along it.

@@ -221,7 +221,7 @@ class DefiniteFactor:
 
 
 def factorize_definite(matrix: Matrix, band: Band | None = None) -> Factor:
-    """The factor of the matrix itself when it is positive definite, else of a definite one, made as `make_definite` does.
+    """The factor of the matrix when it is positive definite, else of a definite one, made as `make_definite` does.
 
     For descents of many iterations: a sparse matrix is shifted from a tenth of that function's first shift on, and
     factorized in its band.  Raises SingularMatrixError when the matrix is not finite.
@@ -234,7 +234,7 @@ def factorize_definite(matrix: Matrix, band: Band | None = None) -> Factor:
 
 
 def shifted_factor(matrix: csr_array, band: Band | None, shares: Array, first: float) -> tuple[Factor, float]:
-    """The factor of matrix + s diag(shares) with the first s of 0, `first`, 8 `first`, ... that makes it definite; s."""
+    """The factor of matrix + s diag(shares), and s: the first of 0, `first`, 8 `first`, ... that makes it definite."""
     from scipy.sparse import csr_array, diags_array
 
     if band is None:

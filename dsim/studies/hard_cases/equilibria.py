@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -14,9 +13,6 @@ from dsim.gradients.quasistatic import Equilibrium, EquilibriumError, record
 from dsim.solve.newton import NewtonResult, Status, newton
 from dsim.studies.hard_cases.model import Curve, HardCaseResult, Panel, at_least, at_most, equal, near
 from dsim.system import System
-
-if TYPE_CHECKING:
-    from scipy.sparse import csr_array
 
 Find = Callable[..., Equilibrium]
 
