@@ -16,6 +16,7 @@ import numpy as np
 from dsim.arrays.checks import Array, as_array, as_step
 from dsim.effects.rows import has_rows
 from dsim.solve.linear import DENSE_SIZE
+from dsim.steppers.checkpoints import Checkpoints
 from dsim.steppers.explicit_run import applies
 from dsim.steppers.stepper import FACTOR_BYTES, Counters, Ode, Stepper
 from dsim.system import System
@@ -36,6 +37,19 @@ class Line:
 
     def __str__(self) -> str:
         return f" {self.state:5s} {self.stage:22s} {self.why}"
+
+
+@dataclass(frozen=True)
+class Recomputation:
+    """What a gradient with `Checkpoints` takes: the most bytes of states at a time, the steps that the run and the way
+    back take together, and how often the step that is taken most is taken."""
+
+    bytes: int
+    advances: int
+    most: int
+
+    def __str__(self) -> str:
+        return f"{self.bytes} bytes of states, {self.advances} steps taken, none more than {self.most} times"
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,6 +149,12 @@ class Plan:
             return "the states"
         size = 8 * self.band.numbers
         return f"the states; keep='factors': {size / 1e6:.3g} MB a step, up to {FACTOR_BYTES // size} steps"
+
+    def recomputation(self, steps: int, checkpoints: Checkpoints) -> Recomputation:
+        """What the gradient of a run of so many steps will take, exactly; a pullback evaluates its step besides."""
+        state = 8 * self.stepper.history * self.system.size
+        kept = checkpoints.stored(steps) + 2  # the last state and the one before it are at hand
+        return Recomputation(kept * state, checkpoints.advances(steps), checkpoints.most(steps))
 
     def _warnings(self) -> Iterator[Line]:
         for effect in self._forbidden():

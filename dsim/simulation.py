@@ -17,10 +17,12 @@ from dsim.arrays.checks import Array, as_array, as_count, as_step
 from dsim.arrays.frozen import replace
 from dsim.planning import Plan
 from dsim.solve.newton import Status
+from dsim.steppers.checkpoints import Checkpoints
 from dsim.steppers.explicit_run import ExplicitRun
+from dsim.steppers.replay import Replay, RowReplay, Snapshots, StepReplay
 from dsim.steppers.stepper import FACTOR_BYTES, Counters, Ode, Step, Stepper
 
-Keep = Literal["states", "steps", "factors"]
+Keep = Literal["states", "steps", "factors"] | Checkpoints
 
 
 class SimulationError(RuntimeError):
@@ -49,18 +51,26 @@ class Trajectory:
     counters: Counters = Counters()
     steps: tuple[Step, ...] | None = None
     run: ExplicitRun | None = field(default=None, repr=False)  # an explicit run, ready to carry gradients back
+    snapshots: Snapshots | None = field(default=None, repr=False)  # what a run with Checkpoints kept
 
     @cached_property
     def y(self) -> Array:
         """States (N+1,ny); an explicit run turns its coordinate rows into them when they are first asked for."""
         if self.states is not None:
             return self.states
+        if self.snapshots is not None:
+            raise ValueError(
+                f"this trajectory keeps {self.snapshots.checkpoints}, not all its states: use .last, "
+                'adjoint(trajectory, dJdy) with a callable dJdy(n, y), or keep="states"'
+            )
         assert self.run is not None
         return self.run.public_states()
 
     @property
     def tape_bytes(self) -> int:
         """Memory held for the way back: states, and what the run kept beside them."""
+        if self.snapshots is not None:
+            return self.snapshots.nbytes
         if self.run is not None:
             return self.run.nbytes
         steps = self.steps or ()
@@ -69,7 +79,16 @@ class Trajectory:
     @property
     def last(self) -> Array:
         """The last state y_N (ny,), without making rows of the others."""
+        if self.snapshots is not None:
+            return self.snapshots.public_last
         return self.run.last() if self.states is None and self.run is not None else self.y[-1]
+
+    @property
+    def first(self) -> Array:
+        """The first state y_0 (ny,), as it was given."""
+        if self.snapshots is not None:
+            return self.snapshots.y0
+        return self.run.y0 if self.states is None and self.run is not None else self.y[0]
 
     @property
     def n(self) -> int:
@@ -93,6 +112,20 @@ class Trajectory:
             raise ValueError("this trajectory has no system: load it with Trajectory.load(path, stepper, system)")
         return self.stepper, self.system
 
+    def differentiable(self) -> tuple[Stepper, Ode]:
+        """`attached`, and ValueError for a run that ended before its last step."""
+        stepper, system = self.attached()
+        if self.status is not Status.CONVERGED:
+            raise ValueError(
+                f"trajectory must be a run that reached its end; {explain(self)} (its first part: trajectory.completed)"
+            )
+        return stepper, system
+
+    @property
+    def completed(self) -> Trajectory:
+        """The steps that were taken, as a trajectory that ends with the last good one."""
+        return replace(self, status=Status.CONVERGED)
+
     def step(self, n: int) -> Step:
         """The step from t_n to t_{n+1}, with its history."""
         if not 0 <= n < len(self.t) - 1:
@@ -104,7 +137,7 @@ class Trajectory:
     def start(self) -> Step:
         """The step that made the first state's past."""
         stepper, system = self.attached()
-        return stepper.start(system, float(self.t[0]), self.y[0], self.h)
+        return stepper.start(system, float(self.t[0]), self.first, self.h)
 
     def _state(self, n: int) -> Array:
         stepper, _ = self.attached()
@@ -156,7 +189,8 @@ def simulate(stepper: Stepper, system: Ode, y0: Any, h: float, steps: int, keep:
 
     y0 (ny,) = [q, v]; pinned points do not move, whatever their velocity in y0.  keep: "states" for `.y` alone,
     "steps" for every Step too, which saves the adjoint a force evaluation a step; "factors" for the band factors of
-    implicit steps as well, within `FACTOR_BYTES`: the adjoint solves by conjugate gradients with them, to 1e-11.
+    implicit steps as well, within `FACTOR_BYTES`: the adjoint solves by conjugate gradients with them, to 1e-11;
+    `Checkpoints(10)` for ten states at a time, the adjoint taking steps again, with the bits of keep="states".
     Raises ValueError on bad input, SimulationError (with the completed part) at a step that fails.
 
     >>> import numpy as np
@@ -181,9 +215,13 @@ def record(stepper: Stepper, system: Ode, y0: Any, h: float, steps: int, keep: K
         raise ValueError(f"system must be a System or a Flow; got {system!r:.60}")
     y0 = as_array("y0", y0, (system.size,))
     h, steps = as_step(h), as_count("steps", steps)
-    if keep not in ("states", "steps", "factors"):
-        raise ValueError(f'keep must be "states", "steps" or "factors"; got {keep!r}')
-    if Plan(system, stepper, y0, h).rows:
+    if not isinstance(keep, Checkpoints) and keep not in ("states", "steps", "factors"):
+        raise ValueError(f'keep must be "states", "steps", "factors" or Checkpoints(10); got {keep!r:.60}')
+    rows = Plan(system, stepper, y0, h).rows
+    if isinstance(keep, Checkpoints):
+        replay: Replay = RowReplay(ExplicitRun(stepper, system, h)) if rows else StepReplay(stepper, system, h)
+        return _checkpointed(Snapshots(keep, replay, y0), (stepper, system), h, steps)
+    if rows:
         return _explicit(ExplicitRun(stepper, system, h), y0, steps, keep)
     y = np.empty((steps + 1, system.size))
     y[0] = y0
@@ -199,6 +237,13 @@ def _explicit(run: ExplicitRun, y0: Array, steps: int, keep: Keep) -> Trajectory
     counters = Counters(forces=taken * run.stages)
     t: Array = run.h * np.arange(done + 1, dtype=float)
     return Trajectory(run.stepper, run.system, run.h, t, None, status, counters, run=run)
+
+
+def _checkpointed(snapshots: Snapshots, method: tuple[Stepper, Ode], h: float, steps: int) -> Trajectory:
+    """A few states kept."""
+    snapshots.forward(steps)
+    t: Array = h * np.arange(snapshots.done + 1, dtype=float)
+    return Trajectory(*method, h, t, None, snapshots.status, snapshots.counters, snapshots=snapshots)
 
 
 def _stepwise(stepper: Stepper, system: Ode, y: Array, h: float, keep: Keep) -> Trajectory:

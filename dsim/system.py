@@ -15,8 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dsim.arrays.checks import Array, Numbers, as_array, as_count, as_positive
+from dsim.arrays.differences import change_of_jacobian, change_of_slopes
 from dsim.arrays.frozen import replace
 from dsim.arrays.scatter import diagonal
+from dsim.effects.curvature import curvature_of, is_differenced
 from dsim.effects.effect import Effect, current
 from dsim.effects.rows import products
 from dsim.solve.linear import DENSE_SIZE
@@ -100,8 +102,8 @@ class System:
         return 2 * self.n
 
     def blocks(self, y: Array) -> tuple[Array, Array]:
-        """y (2n,) -> q and v (n,), the velocity of pinned points taken as 0."""
-        return y[: self.n], y[self.n :] * self.free
+        """y (2n,) -> q and v (n,), the velocity of pinned points taken as 0; y (2n,k) in the same way."""
+        return y[: self.n], (y[self.n :].T * self.free).T
 
     @cached_property
     def masses(self) -> Array:
@@ -254,9 +256,13 @@ class System:
     def _differentiable(self) -> Iterable[tuple[Any, NDArray[np.int64]]]:
         """Effects with dtheta, and the place in theta of each of its columns."""
         for effect, parameters in zip(self.effects, self.layout, strict=True):
-            if parameters and getattr(effect, "dtheta", None) is not None:
-                places = np.concatenate([np.arange(p.place.start, p.place.stop) for p in parameters])
-                yield effect, places[getattr(effect, "columns", slice(None))]
+            if not parameters or getattr(effect, "dtheta", None) is None:
+                continue
+            window = getattr(effect, "columns", slice(None))
+            if window.start is None:
+                yield effect, np.concatenate([np.arange(p.place.start, p.place.stop) for p in parameters])
+            else:  # a window, for an effect with a single parameter
+                yield effect, parameters[0].place.start + np.arange(window.start, window.stop)
 
     def vjp(self, t: float, q: Array, v: Array, w: Array, theta_bar: Array) -> tuple[Array, Array]:
         """(K^T w, D^T w); (df/dtheta)^T w is added into theta_bar (P,) in place.  No matrix is formed
@@ -268,6 +274,26 @@ class System:
             by_v += v_bar
             _add(theta_bar, bar, parameters, getattr(effect, "columns", None))
         return by_q, by_v
+
+    def curvature(
+        self, t: float, place: tuple[Array, Array], w: Array, change: tuple[Array, Array, Array], theta_bar: Array
+    ) -> tuple[Array, Array]:
+        """The derivative of `vjp` along change = (dq (n,), dv (n,), dtheta (P,)) at fixed w: (dK^T w, dD^T w);
+        d(df/dtheta)^T w is added into theta_bar (P,) in place.  `curvature_differenced` names its differences."""
+        by_q, by_v = np.zeros(self.n), np.zeros(self.n)
+        dq, dv, dtheta = change
+        for effect, parameters in zip(self.effects, self.layout, strict=True):
+            columns = getattr(effect, "columns", None)
+            q_bar, v_bar, bar = curvature_of(effect, t, place, w, (dq, dv, _take(dtheta, parameters, columns)))
+            by_q += q_bar
+            by_v += v_bar
+            _add(theta_bar, bar, parameters, columns)
+        return by_q, by_v
+
+    @property
+    def curvature_differenced(self) -> tuple[str, ...]:
+        """The effects whose second derivatives come from finite differences (nine to ten digits)."""
+        return tuple(effect.name for effect in self.effects if is_differenced(effect))
 
     # The operations of a stage k = M^-1 f(t, q, v), pinned entries 0
 
@@ -328,8 +354,8 @@ class System:
         return Stiffness(matrix, size, self._band(key, [effect for effect, _ in acting]))
 
     def stage_solve(self, w: Array) -> Array:
-        """M^-1 w."""
-        return w / self.masses
+        """M^-1 w, w (n,) or (n,k)."""
+        return (w.T / self.masses).T
 
     def stage_partials(self, t: float, q: Array, v: Array) -> tuple[csr_array, csr_array]:
         """d(M k)/dq and d(M k)/dv, CSR (n,n), pinned rows 0."""
@@ -346,6 +372,20 @@ class System:
         inertia = csr_array((k, (np.arange(self.n), points)), shape=(self.n, self.parameter_count))
         return csr_array(diagonal(self.free) @ self.dtheta(t, *place) - inertia)
 
+    def stage_tangent(
+        self, t: float, place: tuple[Array, Array], k: Array, dplace: tuple[Array, Array], dtheta: Array
+    ) -> Array:
+        """The change of f - M k at fixed k, N, 0 at pinned points: `stage_partials` and `stage_dtheta` times changes
+        (n,) and (P,), or times columns of them, effect by effect."""
+        total = np.zeros((self.n, *dtheta.shape[1:]))
+        for capability, change in zip(("dq", "dv"), dplace, strict=True):
+            for effect in self.having(capability):
+                total += self._jacobian(effect, capability, (t, *place)) @ change
+        for effect, places in self._differentiable():
+            total += effect.dtheta(t, *place) @ dtheta[places]
+        inertia = k * np.repeat(dtheta[: len(self.mass)], self.dimension, axis=0).T
+        return (self.free * total.T - inertia).T
+
     def stage_vjp(
         self, t: float, place: tuple[Array, Array], k: Array, w: Array, theta_bar: Array
     ) -> tuple[Array, Array]:
@@ -353,6 +393,17 @@ class System:
         w = self.free * w
         theta_bar[: len(self.mass)] -= (k * w).reshape(len(self.mass), -1).sum(axis=1)
         return self.vjp(t, *place, w, theta_bar)
+
+    def stage_curvature(
+        self, t: float, place: tuple[Array, Array], w: Array, change: Any, theta_bar: Array
+    ) -> tuple[Array, tuple[Array, Array]]:
+        """The derivative of `stage_vjp`, and of its M^T w, along change = (dk, (dq, dv), dtheta) at fixed w: (dM^T w,
+        (d(M k)/dq^T w, d(M k)/dv^T w)); the change of the parameters' gradient is added into theta_bar."""
+        dk, dplace, dtheta = change
+        inertia = np.repeat(dtheta[: len(self.mass)], self.dimension) * w
+        w = self.free * w
+        theta_bar[: len(self.mass)] -= (dk * w).reshape(len(self.mass), -1).sum(axis=1)
+        return inertia, self.curvature(t, place, w, (*dplace, dtheta), theta_bar)
 
     def stage_energy(self, t: float, weights: tuple[float, float]) -> Callable[[Array, Array], float] | None:
         """Phi(k, q) = k^T M k / 2 + U(q) / b, whose gradient by k is the stage residual; None if there is none."""
@@ -386,6 +437,14 @@ def _add(theta_bar: Array, bar: Array | float, parameters: tuple[_Parameter, ...
         return
     for p in parameters:
         theta_bar[p.place] += bar[p.own]
+
+
+def _take(dtheta: Array, parameters: tuple[_Parameter, ...], columns: slice | None) -> Array:
+    """An effect's own entries of theta (P,), in its own order; those of its window, where it has one."""
+    if columns is not None and columns.start is not None:
+        start = parameters[0].place.start
+        return dtheta[start + columns.start : start + columns.stop]
+    return np.concatenate([np.empty(0), *(dtheta[p.place] for p in parameters)])
 
 
 def _symmetric(effect: Any) -> bool:
@@ -475,6 +534,8 @@ class Flow:
         """True when the derivative comes from finite differences."""
         return self.jacobian is None
 
+    curvature_differenced = ("phi",)  # what has its second derivatives from finite differences
+
     def blocks(self, y: Array) -> tuple[Array]:
         return (y,)
 
@@ -521,8 +582,24 @@ class Flow:
 
         return csr_array((self.size, 0))
 
+    def stage_tangent(self, t: float, place: tuple[Array], k: Array, dplace: tuple[Array], dtheta: Array) -> Array:
+        change: Array = self.matrix(t, place[0]) @ dplace[0]
+        return change
+
     def stage_vjp(self, t: float, place: tuple[Array], k: Array, w: Array, theta_bar: Array) -> tuple[Array]:
         return (self.matrix(t, place[0]).T @ w,)
+
+    def stage_curvature(
+        self, t: float, place: tuple[Array], w: Array, change: Any, theta_bar: Array
+    ) -> tuple[float, tuple[Array]]:
+        """(0, (dJ^T w,)) along change = (dk, (dy,), dtheta): J = dphi/dy by differences of the jacobian, to about ten
+        digits; of phi itself, where it has none, to nine."""
+        y, dy = place[0][None], change[1][0][None]
+        if self.jacobian is None:
+            turned = change_of_slopes(lambda z: self.rate(t, z[0])[None], y, dy)
+        else:
+            turned = change_of_jacobian(lambda z: self.matrix(t, z[0])[None], y, dy)
+        return 0.0, (turned[0].T @ w,)
 
     def stage_energy(self, t: float, weights: tuple[float]) -> None:
         return None

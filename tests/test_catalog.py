@@ -184,6 +184,7 @@ STATEMENTS = {
     "C": "C = dR/dtheta",
     "tangent": "tangent = -A^-1 (B dy0 + C dtheta)",
     "pullback": "pullback = tangent transposed",
+    "pullback_tangent": "pullback_tangent = d pullback",
 }
 
 

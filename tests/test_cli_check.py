@@ -41,6 +41,15 @@ COST = """
         return float(x @ x), 2 * x[:2]
 """
 
+SMALL = """
+    import json, math, sys
+
+    x = json.load(open(sys.argv[-2]))["x"]  # no NumPy: it is started for every point
+    scale = 1.01 if "wrong" in sys.argv else 1.0
+    answer = {"value": sum(map(math.sin, x)), "gradient": [scale * math.cos(a) for a in x]}
+    json.dump(answer, open(sys.argv[-1], "w"))
+"""
+
 PROGRAM = """
     import json, sys
     import numpy as np
@@ -73,9 +82,10 @@ PROGRAM = """
 def folder(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "cost.py").write_text(textwrap.dedent(COST))
-    program = tmp_path / "program"
-    program.write_text(f"#!{sys.executable}\n" + textwrap.dedent(PROGRAM))
-    program.chmod(program.stat().st_mode | stat.S_IEXEC)
+    for name, source, options in (("program", PROGRAM, ""), ("small", SMALL, " -IS")):
+        program = tmp_path / name
+        program.write_text(f"#!{sys.executable}{options}\n" + textwrap.dedent(source))
+        program.chmod(program.stat().st_mode | stat.S_IEXEC)
     np.save("x.npy", np.array([0.1, 0.5, -0.3]))
     return tmp_path
 
@@ -104,16 +114,23 @@ def test_json_is_all_that_is_printed(folder):
 
 
 @pytest.mark.parametrize("form", ["npz", "json"])
-@pytest.mark.parametrize("batch", [[], ["--batch"]])
-def test_a_program_in_any_language(folder, form, batch):
-    np.save("x.npy", np.array([0.1, 0.5]))
+def test_a_program_that_takes_batches(folder, form):
     Program("./program", form)  # the constructor alone starts nothing
     assert not os.path.exists("calls.log")
-    words = "./program batch" if batch else "./program"
-    result = run("--exec", words, "--format", form, "--at", "x.npy", *batch)
-    assert result.exit_code == 0 and "smooth" in result.stdout
-    wrong = run("--exec", f"{words} wrong", "--format", form, "--at", "x.npy", *batch)
-    assert wrong.exit_code == 1
+    for words, code in (("./program batch", 0), ("./program batch wrong", 1)):
+        result = run("--exec", words, "--format", form, "--at", "x.npy", "--batch")
+        assert result.exit_code == code and ("smooth" in result.stdout) == (code == 0)
+
+
+@pytest.mark.parametrize("words, code", [("./small", 0), ("./small wrong", 1)])
+def test_a_program_that_takes_one_point(folder, words, code):
+    assert run("--exec", words, "--format", "json", "--at", "0.1").exit_code == code
+
+
+def test_one_point_as_arrays(folder):
+    x = np.array([0.1, 0.5])
+    value, gradient = Program("./program", "npz")(x)
+    assert value == np.sin(x).sum() and np.array_equal(gradient, np.cos(x))
 
 
 def test_a_batch_saves_calls(folder):

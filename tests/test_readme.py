@@ -56,6 +56,12 @@ def test_a_method_of_ones_own_is_put_on_the_plane(capsys):
     assert found and abs(float(found[1]) - 2) < 0.1
 
 
+def test_a_throw_is_aimed(capsys):
+    names: dict = {"__name__": "readme"}
+    exec(next(block for block in BLOCKS if "def throw" in block), names)
+    assert names["found"].converged and names["found"].value < 1e-8 and capsys.readouterr().out
+
+
 def test_the_quoted_stepper_is_the_real_one():
     source = (README.parent / "dsim/steppers/euler.py").read_text()
     assert BLOCKS[1].splitlines()[-1].strip() == "return y[0] + h * phi(t + h, y[1])"

@@ -166,6 +166,14 @@ def block_diagonal(blocks: Array) -> csr_array:
     return csr_array((blocks.ravel(), columns.ravel(), indptr), shape=(count * d, count * d))
 
 
+def few_columns(values: Array, columns: NDArray[np.int64], width: int) -> csr_array:
+    """CSR (n,width) with the entries values (n,k) of every row at columns (n,k), increasing."""
+    from scipy.sparse import csr_array
+
+    rows, count = values.shape
+    return csr_array((values.ravel(), columns.ravel(), count * np.arange(rows + 1)), shape=(rows, width))
+
+
 def pointwise_jacobian(f: object, x: Array) -> Array:
     """Central differences of a callable x (N,d) -> (N,d) in which point i depends on x_i alone -> (N,d,d).
 

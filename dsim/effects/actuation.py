@@ -9,6 +9,7 @@ import numpy as np
 
 from dsim.arrays.checks import Array, Numbers, as_array, as_step
 from dsim.arrays.frozen import replace
+from dsim.effects.curvature import Change
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
@@ -82,3 +83,7 @@ class Actuation:
         row, n = self._row(t), len(w)
         bar[row * n : (row + 1) * n] = w
         return 0.0, 0.0, bar
+
+    def curvature(self, t: float, q: Array, v: Array, w: Array, change: Change) -> tuple[float, float, float]:
+        """0: the force is its parameters."""
+        return 0.0, 0.0, 0.0

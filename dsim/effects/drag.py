@@ -9,8 +9,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from dsim.arrays.checks import Array, Numbers, as_answer, as_array, as_nonnegative
+from dsim.arrays.differences import change_of_jacobian, change_of_slopes
 from dsim.arrays.frozen import replace
-from dsim.arrays.scatter import block_diagonal, diagonal, pointwise_jacobian
+from dsim.arrays.scatter import block_diagonal, diagonal, few_columns, pointwise_jacobian
+from dsim.effects.curvature import Change
 from dsim.effects.rows import DragRows
 
 if TYPE_CHECKING:
@@ -118,14 +120,14 @@ class Drag:
         return diagonal(-self._per_dof())
 
     def dtheta(self, t: float, q: Array, v: Array) -> csr_array:
-        from scipy.sparse import csr_array
-
-        slip = self._slip(t, q, v)
-        columns: list[Array] = [block_columns(-slip) if self.coefficient.ndim else -slip.reshape(-1, 1)]
+        point, axis = np.divmod(np.arange(self.points * self.dimension), self.dimension)
+        values, count = [-self._slip(t, q, v).ravel()], self.coefficient.size
+        columns = [point if self.coefficient.ndim else np.zeros_like(point)]
         if isinstance(self.wind, np.ndarray):
-            c = np.broadcast_to(self.coefficient, self.points)
-            columns.append(np.asarray(np.kron(c[:, None], np.eye(self.dimension)), dtype=float))
-        return csr_array(np.hstack(columns))
+            values.append(self._per_dof())
+            columns.append(count + axis)
+            count += self.dimension
+        return few_columns(np.stack(values, axis=1), np.stack(columns, axis=1), count)
 
     def vjp(self, t: float, q: Array, v: Array, w: Array) -> tuple[Array | float, Array, Array]:
         c = self._per_dof()
@@ -139,10 +141,31 @@ class Drag:
             theta.append((c * w).reshape(self.points, -1).sum(axis=0))
         return by_q, -c * w, np.concatenate(theta)
 
+    @property
+    def curvature_differenced(self) -> bool:
+        """True for a callable wind: its second derivative is a difference of the first, or of the wind itself."""
+        return callable(self.wind)
 
-def block_columns(values: Array) -> Array:
-    """(N,d) -> (N d, N): the values of point i in column i."""
-    points, d = values.shape
-    out = np.zeros((points, d, points))
-    out[np.arange(points), :, np.arange(points)] = values
-    return out.reshape(points * d, points)
+    def _turned_wind(self, t: float, x: Array, dx: Array) -> Array:
+        """The change of dwind/dx along dx, (N,d,d): ten digits from a wind_jacobian, nine without one."""
+        if self.wind_jacobian is None:
+            return change_of_slopes(lambda place: np.broadcast_to(self._air(t, place), x.shape), x, dx)
+        return change_of_jacobian(lambda place: self._wind_blocks(t, place), x, dx)
+
+    def curvature(self, t: float, q: Array, v: Array, w: Array, change: Change) -> tuple[Array | float, Array, Array]:
+        """c dJ^T w + dc J^T w by x_i,  -dc w by v_i,  -(dv - J dx).w by c_i,  sum dc w by the wind;  J = dwind/dx."""
+        x, dx, dslip, push = (a.reshape(self.points, self.dimension) for a in (q, change[0], change[1], w))
+        count = self.coefficient.size
+        c, dc = (np.broadcast_to(a.reshape(-1, 1), (self.points, 1)) for a in (self.coefficient, change[2][:count]))
+        by_q: Array | float = 0.0
+        if callable(self.wind):
+            slopes, turned = self._wind_blocks(t, q), self._turned_wind(t, x, dx)
+            by_q = np.einsum("nij,ni->nj", c[:, :, None] * turned + dc[:, :, None] * slopes, push).ravel()
+            dslip = dslip - np.einsum("nij,nj->ni", slopes, dx)
+        elif self.wind is not None:
+            dslip = dslip - change[2][count:]
+        by_point = -np.einsum("nd,nd->n", dslip, push)
+        theta = [by_point if self.coefficient.ndim else np.array([by_point.sum()])]
+        if isinstance(self.wind, np.ndarray):
+            theta.append((dc * push).sum(axis=0))
+        return by_q, (-dc * push).ravel(), np.concatenate(theta)

@@ -32,6 +32,9 @@ class Effect(Protocol):
     - `parameters: tuple[str, ...]`: attributes to differentiate by; "mass" is the system's own;
     - `dtheta(t, q, v)` -> CSR (n,p), columns in the order of `parameters`, each flattened;
     - `vjp(t, q, v, w) -> (dq^T w, dv^T w, dtheta^T w)`, without forming a matrix; 0 for a part that vanishes;
+    - `curvature(t, q, v, w, change)` -> the derivative of the vjp along change = (dq, dv, dtheta) at fixed w, in the
+      same order and layout, for second derivatives; without one they are central differences of the vjp;
+    - `curvature_differenced: bool`: the curvature itself is a difference;
     - `rows() -> Rows`: the force and its vjp on coordinate rows, in place, for explicit runs;
     - `symmetric: bool`: dq and dv are symmetric (band Cholesky and CG may be used);
     - `at(t, q, h) -> Effect`: freezes discrete choices for one step; its `columns` names the parameters left.

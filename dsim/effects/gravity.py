@@ -9,6 +9,8 @@ import numpy as np
 
 from dsim.arrays.checks import Array, Numbers, as_array
 from dsim.arrays.frozen import replace
+from dsim.arrays.scatter import few_columns
+from dsim.effects.curvature import Change
 from dsim.effects.rows import GravityRows
 
 if TYPE_CHECKING:
@@ -44,15 +46,20 @@ class Gravity:
         return -float(self.force(t, q, q) @ q)
 
     def dtheta(self, t: float, q: Array, v: Array) -> csr_array:
-        from scipy.sparse import csr_array, hstack, kron
-
         assert self.mass is not None
         points, d = len(self.mass), len(self.acceleration)
-        by_mass = kron(csr_array(np.eye(points)), self.acceleration.reshape(d, 1), format="csr")
-        by_acceleration = kron(self.mass.reshape(points, 1), csr_array(np.eye(d)), format="csr")
-        return csr_array(hstack([by_mass, by_acceleration]))
+        point, axis = np.divmod(np.arange(points * d), d)
+        values = np.stack([self.acceleration[axis], self.mass[point]], axis=1)
+        return few_columns(values, np.stack([point, points + axis], axis=1), points + d)
 
     def vjp(self, t: float, q: Array, v: Array, w: Array) -> tuple[float, float, Array]:
         assert self.mass is not None
         per_point = w.reshape(len(self.mass), -1)
         return 0.0, 0.0, np.concatenate([per_point @ self.acceleration, self.mass @ per_point])
+
+    def curvature(self, t: float, q: Array, v: Array, w: Array, change: Change) -> tuple[float, float, Array]:
+        """m and g multiply: each one's gradient changes with the other."""
+        assert self.mass is not None
+        per_point = w.reshape(len(self.mass), -1)
+        dmass, dacceleration = np.split(change[2], [len(self.mass)])
+        return 0.0, 0.0, np.concatenate([per_point @ dacceleration, dmass @ per_point])

@@ -10,8 +10,9 @@ import numpy as np
 from dsim.arrays.checks import Array, Numbers, as_pairs, check_indices
 from dsim.arrays.frozen import replace
 from dsim.arrays.scatter import ElementScatter
+from dsim.effects.curvature import Change
 from dsim.effects.springs import per_element
-from dsim.kernels.spring import both_ends, both_pairs, directions
+from dsim.kernels.spring import both_ends, both_pairs, directions, turning
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
@@ -80,6 +81,23 @@ class SpringDamping:
         by_q = -scatter.vector(both_ends(inverse(length, self.coefficient)[:, None] * across))
         by_v = -scatter.vector(both_ends((self.coefficient * along)[:, None] * n))
         return by_q, by_v, -rate * along
+
+    def curvature(self, t: float, q: Array, v: Array, w: Array, change: Change) -> tuple[Array, Array, Array]:
+        """The product rule on `vjp`:  -k_d/l [ a (u - s n) + s (z - a n) ] by e,  -k_d a n by u,  -s a by k_d, with
+        s = u.n, a = z.n,  dl and dn as in `turning`, ds = du.n + u.dn, da = z.dn."""
+        scatter, length, n, u = self._edges(q, v)
+        de, du, z = (scatter.edges(values) for values in (change[0], change[1], w))
+        dl, dn = turning(scatter.edges(q), de)
+        k, dk = self.coefficient, change[2]
+        s, a, da = (np.einsum("ed,ed->e", *pair)[:, None] for pair in ((u, n), (z, n), (z, dn)))
+        ds = np.einsum("ed,ed->e", du, n)[:, None] + np.einsum("ed,ed->e", u, dn)[:, None]
+        across = a * (u - s * n) + s * (z - a * n)
+        dacross = da * (u - s * n) + a * (du - ds * n - s * dn) + ds * (z - a * n) - s * (da * n + a * dn)
+        ratio = inverse(length, k)
+        dratio = inverse(length, dk - ratio * dl)
+        by_q = -scatter.edge_vector(dratio[:, None] * across + ratio[:, None] * dacross)
+        by_v = -scatter.edge_vector(dk[:, None] * a * n + k[:, None] * (da * n + a * dn))
+        return by_q, by_v, -(ds * a + s * da).ravel()
 
 
 def inverse(length: Array, scale: Array) -> Array:

@@ -10,8 +10,9 @@ import numpy as np
 from dsim.arrays.checks import Array, Numbers, as_nonnegative, as_pairs, check_indices
 from dsim.arrays.frozen import replace
 from dsim.arrays.scatter import ElementScatter
+from dsim.effects.curvature import Change
 from dsim.effects.rows import SpringRows
-from dsim.kernels.spring import SPRING, directions, edge_hessian, slackness, tension
+from dsim.kernels.spring import SPRING, directions, edge_hessian, slackness, tension, turning
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
@@ -77,6 +78,22 @@ class Springs:
         push = (self.stiffness * (1 - slack))[:, None] * u + (self.stiffness * slack * along)[:, None] * n
         theta = np.concatenate([self.stiffness * along, -(length - self.rest_length) * along])
         return -scatter.edge_vector(push), 0.0, theta
+
+    def curvature(self, t: float, q: Array, v: Array, w: Array, change: Change) -> tuple[Array, float, Array]:
+        """The third derivative of the energy and its like, per spring.  With s = l0/l, a = n.u, da = dn.u, and
+        ds = (dl0 - s dl)/l:  d(H u) = dk [ (1 - s) u + s a n ] + k [ -ds u + (ds a + s da) n + s a dn ]."""
+        scatter, edge, _ = self._edges(q)
+        length, n = directions(edge)
+        dl, dn = turning(edge, scatter.edges(change[0]))
+        u, k = scatter.edges(w), self.stiffness
+        drest, dk = np.split(change[2], 2)
+        along, dalong = np.einsum("ed,ed->e", n, u), np.einsum("ed,ed->e", dn, u)
+        slack = slackness(length, self.rest_length)
+        dslack = slackness(length, drest - slack * dl)
+        by_u, by_n = dk * (1 - slack) - k * dslack, dk * slack * along + k * (dslack * along + slack * dalong)
+        push = by_u[:, None] * u + by_n[:, None] * n + (k * slack * along)[:, None] * dn
+        by_stiffness = (drest - dl) * along - (length - self.rest_length) * dalong
+        return -scatter.edge_vector(push), 0.0, np.concatenate([dk * along + k * dalong, by_stiffness])
 
 
 def per_element(label: str, value: Array, count: int) -> Array:

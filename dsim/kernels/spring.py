@@ -20,6 +20,13 @@ def directions(edge: Array) -> tuple[Array, Array]:
     return length, edge * scale[:, None]
 
 
+def turning(edge: Array, change: Array) -> tuple[Array, Array]:
+    """How lengths (E,) and directions (E,d) change with the edges: dl = n.de, dn = (de - n dl)/l, 0 at a zero edge."""
+    length, n = directions(edge)
+    dl = np.einsum("ed,ed->e", n, change)
+    return dl, slackness(length, np.ones_like(length))[:, None] * (change - dl[:, None] * n)
+
+
 def slackness(length: Array, rest: Array) -> Array:
     """l0/l, and 0 where the ends coincide."""
     ratio: Array = np.divide(rest, length, out=np.zeros_like(length), where=length > 0)

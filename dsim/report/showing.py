@@ -9,16 +9,18 @@ from pathlib import Path
 import numpy as np
 
 from dsim import catalog
+from dsim.gradients import adjoint
 from dsim.pictures import animation
 from dsim.pictures import plan as plan_pictures
 from dsim.pictures import scene as pictures
 from dsim.pictures.style import save
-from dsim.planning import plan
+from dsim.planning import Plan, plan
 from dsim.report.terminal import console, waiting
 from dsim.scenes import Scene
 from dsim.simulation import Trajectory, explain, record
 from dsim.solve import Status
 from dsim.steppers import RuleStepper
+from dsim.steppers.checkpoints import Checkpoints
 from dsim.studies import effect_cost
 from dsim.system import System
 
@@ -110,24 +112,33 @@ def _check_suffix(name: str, path: Path, known: tuple[str, ...]) -> None:
 
 
 def planned(
-    scene: Scene, gradient: bool = False, pay_back: bool = False, to: Path | None = None, forbid: tuple[str, ...] = ()
+    scene: Scene,
+    gradient: bool = False,
+    pay_back: bool = False,
+    to: Path | None = None,
+    forbid: tuple[str, ...] = (),
+    snapshots: int | None = None,
 ) -> int:
     """Print the plan of a scene and what the run took; the exit code: 1 where the plan warns or the run fails.
 
-    to: draw the pay-back there.
+    to: draw the pay-back there.  snapshots: take a gradient with so many states kept, too.
     """
+    few = None if snapshots is None else Checkpoints(snapshots)
     if to is not None:
         _check_suffix("--to", to, FILMSTRIPS)
-    made = plan(scene.system, scene.stepper, scene.y0, scene.h, ("gradient",) if gradient else (), forbid)
+    want = ("gradient",) if gradient or few else ()
+    made = plan(scene.system, scene.stepper, scene.y0, scene.h, want, forbid)
     scene = replace(scene, system=made.system)
     out, err = console(), console(stderr=True)
     out.print(str(made), markup=False, soft_wrap=True)
     with waiting(err, f"simulating {scene.name}"):
-        trajectory = record(scene.stepper, scene.system, scene.y0, scene.h, scene.steps)
+        trajectory = record(scene.stepper, scene.system, scene.y0, scene.h, scene.steps, few or "states")
     out.print(made.compared(trajectory.counters, len(trajectory.t) - 1), markup=False, soft_wrap=True)
     failed = trajectory.status is not Status.CONVERGED
     if failed:
         err.print(explain(trajectory), style="red", markup=False, soft_wrap=True)
+    elif few is not None:
+        _print_recomputation(made, trajectory, few)
     if (pay_back or to is not None) and not failed:
         with waiting(err, "leaving out one effect after another"):
             rows = effect_cost.pay_back(scene)
@@ -139,3 +150,14 @@ def planned(
             save(plan_pictures.pay_back(scene.name, rows), to)
             out.print(f"wrote {to}", markup=False, soft_wrap=True)
     return int(failed or bool(made.warnings))
+
+
+def _print_recomputation(made: Plan, trajectory: Trajectory, few: Checkpoints) -> None:
+    """What a gradient with snapshots was to take, and what it took."""
+    steps = len(trajectory.t) - 1
+    with waiting(console(stderr=True), "the way back"):
+        again = adjoint(trajectory, np.ones(made.system.size)).recomputed
+    out = console()
+    out.print(f"gradient of {steps} steps, {few.snapshots} snapshots", markup=False)
+    out.print(f" predicted: {made.recomputation(steps, few)}", markup=False, soft_wrap=True)
+    out.print(f" actual:    {trajectory.tape_bytes} bytes, {steps} + {again} = {steps + again} steps", markup=False)

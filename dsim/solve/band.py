@@ -117,6 +117,7 @@ class BandLU:
 
     def __init__(self, lu: Array, exchanges: Array, width: int, order: Array | None) -> None:
         self._lu, self._exchanges, self._width, self._order = lu, exchanges, width, order
+        self.nbytes = int(lu.nbytes)
 
     def solve(self, b: Array) -> Array:
         """A^-1 b."""

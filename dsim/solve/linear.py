@@ -33,6 +33,11 @@ class Factor(Protocol):
         """A^-T b."""
         ...
 
+    @property
+    def nbytes(self) -> int:
+        """Memory it holds."""
+        ...
+
 
 class DenseFactor:
     """LU with partial pivoting (LAPACK)."""
@@ -50,6 +55,7 @@ class DenseFactor:
         reciprocal_condition = lapack.dgecon(self._lu, np.abs(matrix).sum(axis=0).max())[0] if matrix.size else 1.0
         if not reciprocal_condition > np.finfo(float).eps:
             raise SingularMatrixError(f"reciprocal condition {reciprocal_condition:.1e}")
+        self.nbytes = int(self._lu.nbytes)
 
     def solve(self, b: Array) -> Array:
         return self._back_solve(b, 0)
@@ -79,6 +85,7 @@ class SparseFactor:
         pivots = np.abs(self._lu.U.diagonal())
         if not pivots.min() > np.finfo(float).eps * pivots.max() * 1e-3:
             raise SingularMatrixError(f"pivots from {pivots.min():.1e} to {pivots.max():.1e}")
+        self.nbytes = 12 * int(self._lu.nnz)  # a number and its row
 
     def solve(self, b: Array) -> Array:
         x: Array = self._lu.solve(b)
@@ -139,6 +146,10 @@ class Polished:
         return self.anew.solve(b)
 
     solve_transposed = solve
+
+    @property
+    def nbytes(self) -> int:
+        return int(self.matrix.data.nbytes) + (self.near if self.anew is None else self.anew).nbytes
 
 
 def make_definite(matrix: Matrix) -> Matrix:

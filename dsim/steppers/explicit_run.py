@@ -6,6 +6,7 @@ forces; no Step objects, no patterns, no matrices.  Tests hold states and gradie
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -53,21 +54,21 @@ class ExplicitRun:
     states: Array = field(init=False, repr=False)  # (N+1,2,d,N), the velocity of pinned points 0
     y0: Array = field(init=False, repr=False)  # as it was given
     evaluations: int = field(init=False, default=0)  # of the rate
-    _rows: list[Rows] = field(init=False, repr=False)
+    effect_rows: list[Rows] = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         system = self.system
         self.shape = (system.dimension, len(system.mass))
-        self._rows = [rows_of(effect) for effect in system.effects]
+        self.effect_rows = [rows_of(effect) for effect in system.effects]
         self._constant = np.zeros(self.shape)  # forces that are the same at any time and state, summed once
         self._forces = []  # the others, with their places in what is saved
-        for place, rows in enumerate(self._rows):
+        for place, rows in enumerate(self.effect_rows):
             if (constant := getattr(rows, "constant", None)) is not None:
                 self._constant += constant
             else:
                 self._forces.append((place, rows.add_force))
-        self._scale = (system.free / system.masses).reshape(self.shape[::-1]).T.copy()  # M^-1, 0 at pins
-        scratch = self._tape(1)
+        self.inverse_mass = (system.free / system.masses).reshape(self.shape[::-1]).T.copy()  # M^-1, 0 at pins
+        scratch = self.blank_tape(1)
         self._scratch = [scratch.at(0, s) for s in range(self.stages)]
 
     @cached_property
@@ -90,7 +91,7 @@ class ExplicitRun:
 
     def tape_bytes(self, steps: int) -> int:
         """Size of the tape of so many steps."""
-        numbers = sum(int(np.prod(shape)) for rows in self._rows for shape in rows.saves)
+        numbers = sum(int(np.prod(shape)) for rows in self.effect_rows for shape in rows.saves)
         return 8 * steps * self.stages * (numbers + self.shape[0] * self.shape[1])
 
     @property
@@ -98,8 +99,14 @@ class ExplicitRun:
         """Of states and tape."""
         return int(self.states.nbytes) + (self.tape_bytes(len(self.states) - 1) if self.tape is not None else 0)
 
-    def _tape(self, steps: int) -> Tape:
-        return Tape(steps, self.stages, self.shape, self._rows)
+    @cached_property
+    def moves(self) -> Any:
+        """False at pinned points, (d,N)."""
+        return self.inverse_mass != 0
+
+    def blank_tape(self, steps: int) -> Tape:
+        """Room for what the way back needs of so many steps."""
+        return Tape(steps, self.stages, self.shape, self.effect_rows)
 
     def rate(self, t: float, place: tuple[Array, Array], out: Array, saved: Saved) -> Array:
         """out = M^-1 f on rows."""
@@ -108,25 +115,41 @@ class ExplicitRun:
         x, v = place
         for effect, add_force in self._forces:
             add_force(t, x, v, out, saved[effect])
-        out *= self._scale
+        out *= self.inverse_mass
         return out
 
     def evaluate(self, y0: Array, steps: int, keep_tape: bool) -> int:
         """Take up to `steps` steps; the number of those that stayed finite."""
-        self.tape = self._tape(steps) if keep_tape and self.tape_bytes(steps) <= TAPE_BYTES else None
+        self.tape = self.blank_tape(steps) if keep_tape and self.tape_bytes(steps) <= TAPE_BYTES else None
         self.y0 = y0
         self.states = np.empty((steps + 1, 2, *self.shape))
-        self.states[0] = y0.reshape(2, *self.shape[::-1]).transpose(0, 2, 1)
-        self.states[0, 1] *= self._scale != 0  # pinned points have no velocity
+        self.states[0] = self.inward(y0)
         flat, zeros = self.states.reshape(steps + 1, -1), np.zeros(self.states[0].size)
         good = 0
         while good < steps:
-            self._advance(good)
+            self._advance(good, self.states[good], self.states[good + 1])
             if flat[good + 1] @ zeros != 0.0:  # 0 times what is not finite is NaN: one dot product sees them all
                 break
             good += 1
         self.states = self.states[: good + 1]
         return good
+
+    def inward(self, y: Array) -> Array:
+        """A state (2n,) as coordinate rows (2,d,N), pinned points without velocity."""
+        z = self.rows_of(y).copy()
+        z[1] *= self.moves
+        return z
+
+    def outward(self, z: Array) -> Array:
+        """Rows (2,d,N) as a state (2n,)."""
+        return z.transpose(0, 2, 1).ravel()
+
+    def step(self, n: int, z: Array) -> Array:
+        """The state after step n, from the one before it, on rows; nothing is kept."""
+        new = np.empty_like(z)
+        with np.errstate(all="ignore"):
+            self._advance(n, z, new)
+        return new
 
     def public_states(self) -> Array:
         """The states as rows y_n = [q, v], (N+1, 2n); the first one as it was given."""
@@ -136,10 +159,10 @@ class ExplicitRun:
 
     def last(self) -> Array:
         """The last row of `public_states`."""
-        return self.states[-1].transpose(0, 2, 1).ravel() if len(self.states) > 1 else self.y0
+        return self.outward(self.states[-1]) if len(self.states) > 1 else self.y0
 
-    def _advance(self, n: int) -> None:
-        t, z, new = n * self.h, self.states[n], self.states[n + 1]
+    def _advance(self, n: int, z: Array, new: Array) -> None:
+        t = n * self.h
         slots = iter(self._scratch if self.tape is None else [self.tape.at(n, s) for s in range(self.stages)])
 
         def rate(t: float, x: Array, v: Array) -> Array:
@@ -152,51 +175,20 @@ class ExplicitRun:
 
     # The way back
 
-    def pull(self, dJdy: Array) -> tuple[Array, Array]:
-        """(dJ/dy0 without dJdy[0], dJ/dtheta) over all steps; dJdy (N+1,2n), or (2n,) for the last state alone."""
-        system, steps = self.system, len(self.states) - 1
-        theta_bar = np.zeros(system.parameter_count)
-        views = [[theta_bar[p.place].reshape(p.shape) for p in parameters] for parameters in system.layout]
-        inertia = np.zeros(self.shape)  # k . w, summed over the steps
-        loads = dJdy.reshape(-1, 2, *self.shape[::-1]).transpose(0, 1, 3, 2)
-        scratch = self._tape(1) if self.tape is None else None
-        mu: Any = tuple(np.zeros((2, *self.shape)))
-        for n in range(steps - 1, -1, -1):
-            load = loads[n + 1] if dJdy.ndim == 2 else loads[0]
-            if (dJdy.ndim == 2 or n == steps - 1) and load.any():
-                mu = (mu[0] + load[0], mu[1] + load[1])
-            mu = self._pull_step(n, mu, (views, inertia), scratch)
-        theta_bar[: len(system.mass)] -= inertia.sum(axis=0)
-        by_q, by_v = mu[0], mu[1] * (self._scale != 0)
-        return np.concatenate([by_q.T.ravel(), by_v.T.ravel()]), theta_bar
+    def pull(self, load: Callable[[int], Array | None]) -> tuple[Array, Array]:
+        """(dJ/dy0 without the load of y_0, dJ/dtheta) over all steps; load: n -> dJ/dy_n on rows (2,d,N), or None."""
+        back = Pullback(self)
+        for n in range(len(self.states) - 2, -1, -1):
+            if (bar := load(n + 1)) is not None:
+                back.add(bar)
+            back.step(n, self.states[n])
+        return back.result()
 
-    def _pull_step(self, n: int, mu: Any, sums: tuple[Any, Array], scratch: Tape | None) -> Any:
-        views, inertia = sums
-        tableau, t = self.tableau, n * self.h
-        values: dict[Symbol, Array] = {("y", 0, 0): self.states[n, 0], ("y", 0, 1): self.states[n, 1]}
-        places, saved = self._stages(n, values, scratch)
-        bars: dict[Symbol, Array] = {}
-        for part, bar in zip(tableau.outcome, mu, strict=True):
-            _spread(bars, part, bar)
-        for symbol in (("y", 0, 0), ("y", 0, 1)):
-            if symbol not in bars:
-                bars[symbol] = np.zeros(self.shape)
-        for s in range(len(tableau.stages) - 1, -1, -1):
-            stage, symbol = tableau.stages[s], ("k", s, 0)
-            if symbol not in bars:
-                continue
-            w = bars[symbol]
-            w *= self._scale
-            inertia += values[symbol] * w
-            pulled = [_target(bars, part, self.shape) for part in stage.arguments]
-            for rows, kept, own in zip(self._rows, saved[s], views, strict=True):
-                rows.add_vjp(t + stage.offset, places[s], w, (*pulled, *own), kept)
-            for part, bar in zip(stage.arguments, pulled, strict=True):
-                if not any(bar is own for own in bars.values()):
-                    _spread(bars, part, bar)
-        return bars["y", 0, 0], bars["y", 0, 1]
+    def rows_of(self, y: Array) -> Array:
+        """States or gradients (...,2n) as coordinate rows (...,2,d,N), a view."""
+        return np.swapaxes(y.reshape(*y.shape[:-1], 2, *self.shape[::-1]), -1, -2)
 
-    def _stages(self, n: int, values: dict[Symbol, Array], scratch: Tape | None) -> tuple[list[Any], list[Saved]]:
+    def stage_values(self, n: int, values: dict[Symbol, Array], scratch: Tape | None) -> tuple[list[Any], list[Saved]]:
         """Where each stage stood and what its effects saved: from the tape, or evaluated again."""
         places: list[Any] = []
         saved: list[Saved] = []
@@ -209,6 +201,58 @@ class ExplicitRun:
             places.append(place)
             saved.append(kept)
         return places, saved
+
+
+class Pullback:
+    """A gradient on its way back over the steps of a run: dJ/dy_n on rows, and dJ/dtheta so far."""
+
+    def __init__(self, run: ExplicitRun) -> None:
+        system = run.system
+        self.run = run
+        self.theta_bar = np.zeros(system.parameter_count)
+        self._views = [[self.theta_bar[p.place].reshape(p.shape) for p in parameters] for parameters in system.layout]
+        self._inertia = np.zeros(run.shape)  # k . w, summed over the steps
+        self._scratch = run.blank_tape(1) if run.tape is None else None
+        self._mu: Any = tuple(np.zeros((2, *run.shape)))
+
+    def add(self, load: Array) -> None:
+        """Add dJ/dy_n (2,d,N)."""
+        if load.any():
+            self._mu = (self._mu[0] + load[0], self._mu[1] + load[1])
+
+    def result(self) -> tuple[Array, Array]:
+        """(dJ/dy, dJ/dtheta), the velocity of pinned points left out.  At the end, once."""
+        run, theta_bar = self.run, self.theta_bar
+        theta_bar[: len(run.system.mass)] -= self._inertia.sum(axis=0)
+        by_q, by_v = self._mu[0], self._mu[1] * run.moves
+        return np.concatenate([by_q.T.ravel(), by_v.T.ravel()]), theta_bar
+
+    def step(self, n: int, state: Array) -> None:
+        """From dJ/dy_{n+1} to dJ/dy_n; state: y_n on rows."""
+        run = self.run
+        tableau, t = run.tableau, n * run.h
+        values: dict[Symbol, Array] = {("y", 0, 0): state[0], ("y", 0, 1): state[1]}
+        places, saved = run.stage_values(n, values, self._scratch)
+        bars: dict[Symbol, Array] = {}
+        for part, bar in zip(tableau.outcome, self._mu, strict=True):
+            _spread(bars, part, bar)
+        for symbol in (("y", 0, 0), ("y", 0, 1)):
+            if symbol not in bars:
+                bars[symbol] = np.zeros(run.shape)
+        for s in range(len(tableau.stages) - 1, -1, -1):
+            stage, symbol = tableau.stages[s], ("k", s, 0)
+            if symbol not in bars:
+                continue
+            w = bars[symbol]
+            w *= run.inverse_mass
+            self._inertia += values[symbol] * w
+            pulled = [_target(bars, part, run.shape) for part in stage.arguments]
+            for rows, kept, own in zip(run.effect_rows, saved[s], self._views, strict=True):
+                rows.add_vjp(t + stage.offset, places[s], w, (*pulled, *own), kept)
+            for part, bar in zip(stage.arguments, pulled, strict=True):
+                if not any(bar is own for own in bars.values()):
+                    _spread(bars, part, bar)
+        self._mu = bars["y", 0, 0], bars["y", 0, 1]
 
 
 def _target(bars: dict[Symbol, Array], part: Any, shape: tuple[int, int]) -> Array:

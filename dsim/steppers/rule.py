@@ -16,7 +16,7 @@ coefficients from which the Newton matrix, A, B, C, the tangent and the pullback
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING, Any, Literal
@@ -129,8 +129,8 @@ def _check_form(stepper: RuleStepper, system: Ode) -> None:
 
 
 def _states(system: Ode, y0: Array) -> dict[int, Array]:
-    """{0: y_n, -1: y_{n-1}} from a state with its history."""
-    return {-place: y for place, y in enumerate(y0.reshape(-1, system.size))}
+    """{0: y_n, -1: y_{n-1}} from a state with its history, or from columns of them."""
+    return {-place: y for place, y in enumerate(y0.reshape(-1, system.size, *y0.shape[1:]))}
 
 
 def _with_history(y1: Array, y0: Array, history: int) -> Array:
@@ -195,8 +195,8 @@ def _implicit(stepper: Any, system: Ode, t: float, y0: Array, h: float) -> Step:
 
 
 class RuleLinearization:
-    """The linearization of one step.  `tangent` and `pullback` eliminate the new state stage by stage and solve
-    with M - c D - b K; A, B and C are the plain definition, which the tests hold against them."""
+    """The linearization of one step.  `tangent`, `pullback` and its derivative eliminate the new state stage by stage
+    and solve with M - c D - b K; A, B and C are the plain definition, which the tests hold against them."""
 
     def __init__(self, system: Ode, step: Step, rule: Any, form: int) -> None:
         self.system, self.step = system, step
@@ -242,19 +242,29 @@ class RuleLinearization:
                 self._factors[number] = factorize(matrix, band)
         return self._factors[number]
 
+    @property
+    def nbytes(self) -> int:
+        """Memory of the rates and of the factors made so far."""
+        rates = sum(value.nbytes for symbol, value in self.values.items() if symbol[0] == "k")
+        return rates + sum(factor.nbytes for factor in self._factors.values())
+
     def tangent(self, dy0: Array, dtheta: Array) -> Array:
-        """dy1 from dy0 and dtheta, the derivative of the step in one direction."""
+        """dy1 from dy0 and dtheta, the derivative of the step in one direction, or in k: columns (...,k)."""
+        return self.push(dy0, dtheta)[0]
+
+    def push(self, dy0: Array, dtheta: Array) -> tuple[Array, Values]:
+        """`tangent`, and what it went through: the changes of the state's blocks and of the rate of every stage."""
         ode: Any = self.system
-        changes = _values(ode, _states(ode, np.asarray(dy0, dtype=float)))
+        dy0 = np.asarray(dy0, dtype=float)
+        changes, zero = _values(ode, _states(ode, dy0)), np.zeros((ode.n, *dy0.shape[1:]))
         for number, stage in enumerate(self.tableau.stages):
             time, place, k = self.step.t + stage.offset, self._place(stage), self.values["k", number, 0]
-            load = ode.stage_dtheta(time, place, k) @ dtheta
-            for partial, part in zip(ode.stage_partials(time, *place), stage.arguments, strict=True):
-                load = load + partial @ (np.zeros(ode.n) + combine(part, changes))
+            dplace = tuple(zero + combine(part, changes) for part in stage.arguments)
+            load = ode.stage_tangent(time, place, k, dplace, dtheta)
             implicit = any(self_weights(stage, number))
             changes["k", number, 0] = self._factor(number).solve(load) if implicit else ode.stage_solve(load)
-        told = np.concatenate([np.zeros(ode.n) + combine(part, changes) for part in self.tableau.outcome])
-        return np.concatenate(self._ordered(told, np.asarray(dy0, dtype=float)[: ode.size]))
+        told = np.concatenate([zero + combine(part, changes) for part in self.tableau.outcome])
+        return np.concatenate(self._ordered(told, dy0[: ode.size])), changes
 
     def _ordered(self, told: Array, kept: Array) -> list[Array]:
         """The new state: what the rule told, then the y_n kept as history; the other way round after `start`."""
@@ -265,30 +275,71 @@ class RuleLinearization:
     def pullback(self, mu: Array, theta_bar: Array) -> Array:
         """dJ/dy0 from mu = dJ/dy1: the transpose of `tangent`, stage by stage in reverse."""
         ode: Any = self.system
+
+        def through(number: int, bar: Array) -> tuple[Array, ...]:
+            stage, k = self.tableau.stages[number], self.values["k", number, 0]
+            w = self._solve_transposed(number, bar)
+            found: tuple[Array, ...] = ode.stage_vjp(self.step.t + stage.offset, self._place(stage), k, w, theta_bar)
+            return found
+
+        return self._back(mu, through)
+
+    def pullback_tangent(self, mu: Array, changes: Values, dtheta: Array, theta_bars: tuple[Array, Array]) -> Array:
+        """The pullback of mu[:, 0] and, beside it, its derivative along a direction in which mu changes by mu[:, 1]
+        and the step by `changes`, from `push`: mu (.,2) -> (.,2), and both are added into theta_bars (P,).
+
+        At a stage with A^T w = bar, A = M - b K - c D:  A^T dw = dbar - dM^T w + b dK^T w + c dD^T w, on the same
+        factor, and d(K^T w) = dK^T w + K^T dw.
+        """
+        ode: Any = self.system
+
+        def through(number: int, bar: Array) -> list[Array]:
+            stage, k = self.tableau.stages[number], self.values["k", number, 0]
+            time, place = self.step.t + stage.offset, self._place(stage)
+            dplace = tuple(np.zeros(ode.n) + combine(part, changes) for part in stage.arguments)
+            w = self._solve_transposed(number, bar[:, 0])
+            pulled = ode.stage_vjp(time, place, k, w, theta_bars[0])
+            change = (changes["k", number, 0], dplace, dtheta)
+            inertia, turned = ode.stage_curvature(time, place, w, change, theta_bars[1])
+            load = bar[:, 1] - inertia
+            for weight, part in zip(self_weights(stage, number), turned, strict=True):
+                load = load + weight * part
+            dw = self._solve_transposed(number, load)
+            again = ode.stage_vjp(time, place, k, dw, theta_bars[1])
+            return [np.stack([p, c + a], axis=1) for p, c, a in zip(pulled, turned, again, strict=True)]
+
+        return self._back(mu, through)
+
+    def _solve_transposed(self, number: int, bar: Array) -> Array:
+        """w of a stage from the bar of its rate."""
+        ode: Any = self.system
+        implicit = any(self_weights(self.tableau.stages[number], number))
+        w: Array = self._factor(number).solve_transposed(bar) if implicit else ode.stage_solve(bar)
+        return w
+
+    def _back(self, mu: Array, through: Callable[[int, Array], Sequence[Array]]) -> Array:
+        """The stages in reverse: `through` turns the bar of a rate into those of its arguments; columns (...,k) too."""
+        ode: Any = self.system
         told, *kept = self._ordered(mu[: ode.size], mu[ode.size :])
         bars: Values = {}
-        for part, bar in zip(self.tableau.outcome, told.reshape(ode.components, -1), strict=True):
+        for part, bar in zip(self.tableau.outcome, told.reshape(ode.components, ode.n, *mu.shape[1:]), strict=True):
             _spread(bars, part, bar)
         for number in range(len(self.tableau.stages) - 1, -1, -1):
             stage, symbol = self.tableau.stages[number], ("k", number, 0)
             if symbol not in bars:
                 continue
-            bar, k = bars.pop(symbol), self.values[symbol]
-            implicit = any(self_weights(stage, number))
-            w = self._factor(number).solve_transposed(bar) if implicit else ode.stage_solve(bar)
-            time, place = self.step.t + stage.offset, self._place(stage)
-            for part, argument_bar in zip(stage.arguments, ode.stage_vjp(time, place, k, w, theta_bar), strict=True):
-                _spread(bars, {s: c for s, c in part.items() if s != symbol}, argument_bar)
-        dy0 = self._collect(bars)
+            for part, bar in zip(stage.arguments, through(number, bars.pop(symbol)), strict=True):
+                _spread(bars, {s: c for s, c in part.items() if s != symbol}, bar)
+        dy0 = self._collect(bars, np.zeros((ode.n, *mu.shape[1:])))
         for bar in kept:
             dy0[: ode.size] += bar
         return dy0
 
-    def _collect(self, bars: Values) -> Array:
+    def _collect(self, bars: Values, zero: Array) -> Array:
         """Bars of the state blocks -> (history * size,), nothing at the velocity of pinned points."""
         ode, count = self.system, self.step.y0.size // self.system.size
-        blocks = [bars.get(("y", -place, c), np.zeros(ode.n)) for place in range(count) for c in range(ode.components)]
-        states = np.concatenate(blocks).reshape(count, ode.size)
+        blocks = [bars.get(("y", -place, c), zero) for place in range(count) for c in range(ode.components)]
+        states = np.concatenate(blocks).reshape(count, ode.size, *zero.shape[1:])
         return np.concatenate([np.concatenate(ode.blocks(state)) for state in states])
 
     @cached_property

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
@@ -76,11 +76,23 @@ class Linearization(Protocol):
     def C(self) -> csr_array: ...
 
     def tangent(self, dy0: Array, dtheta: Array) -> Array:
-        """dy1 = -A^-1 (B dy0 + C dtheta)."""
+        """dy1 = -A^-1 (B dy0 + C dtheta); dy0 (ny,), dtheta (P,), or k columns of each."""
         ...
 
     def pullback(self, mu: Array, theta_bar: Array) -> Array:
         """dJ/dy0 = -B^T A^-T mu from mu = dJ/dy1; adds -C^T A^-T mu into theta_bar in place."""
+        ...
+
+
+class SecondOrder(Linearization, Protocol):
+    """A linearization whose pullback can be differentiated, for Hessian-vector products."""
+
+    def push(self, dy0: Array, dtheta: Array) -> tuple[Array, Any]:
+        """`tangent`, and the changes inside the step, for `pullback_tangent`."""
+        ...
+
+    def pullback_tangent(self, mu: Array, changes: Any, dtheta: Array, theta_bars: tuple[Array, Array]) -> Array:
+        """`pullback` of mu[:, 0], and its derivative in the direction of a `push` and of dmu = mu[:, 1]."""
         ...
 
 

@@ -91,6 +91,26 @@ def check_effect(example: EffectExample, seed: int = 0) -> tuple[Check, ...]:
     return tuple(check for dimension in (2, 3) for check in _effect_checks(example, dimension, seed))
 
 
+def curvature_deviation(
+    system: System, t: float, place: tuple[Array, Array], w: Array, rng: np.random.Generator
+) -> float:
+    """`System.curvature` along a random change of q, v and theta, against differences of `System.vjp`."""
+    sizes = [system.n, system.n, system.parameter_count]
+    cuts = np.cumsum(sizes)[:-1]
+    direction = rng.normal(size=sum(sizes))
+
+    def product(z: Array) -> Array:
+        q, v, theta = np.split(z, cuts)
+        theta_bar = np.zeros(len(theta))
+        return np.concatenate([*system.with_theta(theta).vjp(t, q, v, w, theta_bar), theta_bar])
+
+    measured = directional(product, np.concatenate([*place, system.theta]), direction[:, None])[:, 0]
+    theta_bar = np.zeros(system.parameter_count)
+    dq, dv, dtheta = np.split(direction, cuts)
+    by_q, by_v = system.curvature(t, place, w, (dq, dv, dtheta), theta_bar)
+    return deviation(np.concatenate([by_q, by_v, theta_bar]), measured)
+
+
 def _effect_checks(example: EffectExample, dimension: int, seed: int) -> Iterator[Check]:
     rng = np.random.default_rng(seed)
     points = 5
@@ -113,6 +133,7 @@ def _effect_checks(example: EffectExample, dimension: int, seed: int) -> Iterato
     product = np.concatenate([by_q, by_v, theta_bar])
     expected = np.concatenate([measured[name].T @ w for name in ("dq", "dv", "dtheta")])
     yield verdict(subject, "vjp = transposed Jacobians", deviation(product, expected))
+    yield verdict(subject, "curvature = d vjp", curvature_deviation(system, t, (q, v), w, rng))
     if getattr(effect, "symmetric", False):
         skew = max(deviation(measured[name], measured[name].T) for name in ("dq", "dv"))
         yield verdict(subject, "Jacobians are symmetric", skew)

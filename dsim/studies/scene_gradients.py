@@ -57,7 +57,7 @@ def objective(scene: Any, steps: int, seed: int = 0) -> Callable[[Array], tuple[
     return once
 
 
-def check_scene(scene: Any, steps: int = 3, seed: int = 0) -> GradientReport:
+def check_scene(scene: Any, steps: int = 2, seed: int = 0) -> GradientReport:
     """The adjoint of `steps` steps of a scene with its own stepper, judged by differences of the simulation."""
     count = len(knobs(scene.system)) if scene.system.components == 2 else 2
     return check_gradient(objective(scene, steps, seed), np.zeros(count))

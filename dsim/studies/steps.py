@@ -89,6 +89,26 @@ def _step_checks(stepper: Any, ode: Any, step: Step, subject: str, seed: int) ->
         yield verdict(subject, "C = dR/dtheta", deviation(linear.C @ w, by_theta))
     yield from _linear_checks(stepper, ode, step, subject, seed)
     yield _taylor_check(stepper, ode, step, subject, seed)
+    yield _second_order_check(stepper, ode, step, subject, seed)
+
+
+def _second_order_check(stepper: Any, ode: Any, step: Step, subject: str, seed: int) -> Check:
+    """The derivative of mu -> pullback(mu) along a random change of mu, y0 and theta, against differences of it."""
+    rng = np.random.default_rng(seed + 2)
+    sizes = (step.y1.size, step.y0.size, ode.parameter_count)
+    mu, (dmu, dy0, dtheta) = rng.normal(size=sizes[0]), (rng.normal(size=size) for size in sizes)
+
+    def pullback(s: Array) -> Array:
+        moved = ode.with_theta(ode.theta + s * dtheta) if ode.parameter_count else ode
+        there = stepper.step(moved, step.t, step.y0 + s * dy0, step.h)
+        theta_bar = np.zeros(ode.parameter_count)
+        return np.append(stepper.linearize(moved, there).pullback(mu + s * dmu, theta_bar), theta_bar)
+
+    measured = directional(pullback, np.zeros(1), np.ones((1, 1)))[:, 0]
+    linear, bars = stepper.linearize(ode, step), (np.zeros(sizes[2]), np.zeros(sizes[2]))
+    changes = linear.push(dy0, dtheta)[1]
+    turned = linear.pullback_tangent(np.stack([mu, dmu], axis=1), changes, dtheta, bars)[:, 1]
+    return verdict(subject, "pullback_tangent = d pullback", deviation(np.append(turned, bars[1]), measured))
 
 
 def _linear_checks(stepper: Any, ode: Any, step: Step, subject: str, seed: int) -> Iterator[Check]:
