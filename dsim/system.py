@@ -380,7 +380,7 @@ class System:
         total = np.zeros((self.n, *dtheta.shape[1:]))
         for capability, change in zip(("dq", "dv"), dplace, strict=True):
             for effect in self.having(capability):
-                total += self._jacobian(effect, capability, (t, *place)) @ change
+                total += self.jacobian(effect, capability, (t, *place)) @ change
         for effect, places in self._differentiable():
             total += effect.dtheta(t, *place) @ dtheta[places]
         inertia = k * np.repeat(dtheta[: len(self.mass)], self.dimension, axis=0).T

@@ -15,13 +15,13 @@ from dsim.arrays.checks import Array
 from dsim.gradients.quasistatic import Equilibrium
 from dsim.pictures.scene import FAINT, STRAIN, projected
 from dsim.pictures.style import canvas, label, look, style
-from dsim.studies.showcases.formwork import SPAN, FormworkResult, TwoBellies
+from dsim.studies.showcases.formwork import SPAN, Formwork, TwoBellies
 
 _LIFT = 3.0  # heights are drawn so much larger: a belly of a tenth of the span must be seen
 
 
 @style()
-def before_after(result: FormworkResult) -> Figure:
+def before_after(result: Formwork) -> Figure:
     """Above: the uniform fabric and the designed one, coloured by their distance from the target, and the distance on
     the way.  Below: rest lengths and stiffnesses of the designed threads, and a section through both fabrics."""
     figure, axes = canvas(2, 3, (14.0, 8.0), width_ratios=(1.15, 1.15, 1.0), height_ratios=(0.75, 1.0))
@@ -37,15 +37,15 @@ def before_after(result: FormworkResult) -> Figure:
     _pattern(figure, axes[1, 0], result, "rest length (% of the start's)", _rest(result))
     _pattern(figure, axes[1, 1], result, "stiffness (log10, relative to the start's)", _stiffness(result))
     _section(axes[1, 2], result)
-    freedom, unknowns = result.problem.fabric.unknowns
+    (freedom, unknowns), count = result.problem.fabric.unknowns, result.optimisation.evaluations
     figure.suptitle(
-        f"Fabric formwork: {freedom} degrees of freedom, {unknowns} unknowns, {result.evaluations} equilibria",
+        f"Fabric formwork: {freedom} degrees of freedom, {unknowns} unknowns, {count} equilibria",
         x=0.01, ha="left", weight="bold",
     )  # fmt: skip
     return figure
 
 
-def _shape(axes: Axes, result: FormworkResult, found: Equilibrium, distance: Array, norm: Any) -> None:
+def _shape(axes: Axes, result: Formwork, found: Equilibrium, distance: Array, norm: Any) -> None:
     """The threads along both directions, coloured, in front of the frame."""
     fabric = result.problem.fabric
     x = found.q.reshape(-1, 3) * [1.0, 1.0, _LIFT]
@@ -67,24 +67,24 @@ def _shape(axes: Axes, result: FormworkResult, found: Equilibrium, distance: Arr
     axes.text(0.0, -0.05, f"frame {SPAN:g} m x {SPAN:g} m, heights x {_LIFT:g}", transform=axes.transAxes, fontsize=9)
 
 
-def _progress(axes: Axes, result: FormworkResult) -> None:
-    axes.semilogy(np.arange(1, len(result.history) + 1), result.history, **look(0) | {"markersize": 3.5})
+def _progress(axes: Axes, result: Formwork) -> None:
+    axes.semilogy(np.arange(1, len(result.distances) + 1), result.distances, **look(0) | {"markersize": 3.5})
     label(axes, "equilibrium", "RMS distance / span", "On the way")
 
 
-def _rest(result: FormworkResult) -> Array:
+def _rest(result: Formwork) -> Array:
     rest, _ = result.problem.parameters(result.z)
     percent: Array = 100 * rest / result.problem.rest
     return percent
 
 
-def _stiffness(result: FormworkResult) -> Array:
+def _stiffness(result: Formwork) -> Array:
     _, stiffness = result.problem.parameters(result.z)
     exponent: Array = np.log10(stiffness / result.problem.stiffness)
     return exponent
 
 
-def _pattern(figure: Figure, axes: Axes, result: FormworkResult, name: str, values: Array) -> None:
+def _pattern(figure: Figure, axes: Axes, result: Formwork, name: str, values: Array) -> None:
     """Every thread where it lies in the flat fabric, the strongest last."""
     fabric = result.problem.fabric
     middle = 100.0 if values.min() > 50 else 0.0
@@ -99,7 +99,7 @@ def _pattern(figure: Figure, axes: Axes, result: FormworkResult, name: str, valu
     figure.colorbar(ScalarMappable(norm, STRAIN), ax=axes, label=name, fraction=0.046, pad=0.02)
 
 
-def _section(axes: Axes, result: FormworkResult) -> None:
+def _section(axes: Axes, result: Formwork) -> None:
     """Along the middle row of points, from frame to frame."""
     fabric, target = result.problem.fabric, result.problem.target
     row = np.flatnonzero(np.arange(fabric.n**2) % fabric.n == fabric.n // 2)

@@ -223,6 +223,7 @@ class DefiniteFactor:
         if not (lu.perm_r == lu.perm_c).all() or not (lu.U.diagonal() > 0).all():
             raise NotDefiniteError("a pivot is not positive")
         self._lu = lu
+        self.nbytes = 12 * int(lu.nnz)
 
     def solve(self, b: Array) -> Array:
         x: Array = self._lu.solve(b)
