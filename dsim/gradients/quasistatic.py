@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 
 class EquilibriumError(RuntimeError):
-    """No equilibrium that can be differentiated.  `equilibrium` holds the last place, `status` says what it is."""
+    """No equilibrium, or none that can be differentiated.  `equilibrium` holds the last place, `status` says why."""
 
     def __init__(self, message: str, equilibrium: Equilibrium) -> None:
         super().__init__(message)
@@ -38,9 +38,10 @@ class EquilibriumError(RuntimeError):
 class Equilibrium:
     """Where a search for an equilibrium ended.  q (n,) m.
 
-    status: `converged` for an equilibrium - a stable one where the system has a potential -, else why not:
-    `singular` at a fold or bifurcation, `unstable`, `no_equilibrium`, `max_iterations`, `line_search_failed` or
-    `not_finite`.  imbalance: the largest |f| of a free coordinate over the largest force that acts anywhere.
+    status: `converged` for an equilibrium - a stable one where the system has a potential -; `singular` at a fold or
+    bifurcation, or `unstable`, both in balance; else why there is none: `no_equilibrium`, `max_iterations`,
+    `line_search_failed` or `not_finite`.
+    imbalance: the largest |f| of a free coordinate over the largest force that acts anywhere.
     eigenvalue: the smallest of -df/dq over the largest.  kicks: how often an unstable equilibrium was left.
     """
 
@@ -91,8 +92,10 @@ def quasistatic(
     tol: bound on the largest |f| of a free coordinate, relative to the largest force that acts anywhere, supports
     included; what the positions' round-off makes of the stiffness counts as balanced.
 
-    Raises ValueError on bad input, EquilibriumError (with the last place and its status) when there is none that can
-    be differentiated.
+    What is returned is always in balance.  Its status is `converged`, or `singular` at a fold or bifurcation, or
+    `unstable`; of the last two nothing can be differentiated.
+    Raises ValueError on bad input, and EquilibriumError, with the last place and its status, where no equilibrium
+    exists or none was found; `dsim.gradients.quasistatic.record` returns that one too.
 
     >>> from dsim.effects import Gravity, Springs
     >>> system = System([1.0, 2.0], [Springs([(0, 1)], 1.0, 50.0), Gravity([0.0, -10.0])], dimension=2, fixed=[0])
@@ -103,7 +106,7 @@ def quasistatic(
     [0.008]
     """
     equilibrium = record(system, q0, t=t, tol=tol, max_iterations=max_iterations, kicks=kicks)
-    if equilibrium.status is not Status.CONVERGED:
+    if equilibrium.status not in (Status.CONVERGED, Status.SINGULAR, Status.UNSTABLE):
         raise EquilibriumError(explain(equilibrium), equilibrium)
     return equilibrium
 
@@ -117,9 +120,8 @@ def record(
     q = as_array("q0", q0, (system.n,))
     t, tol = float(as_array("t", t, ())), float(as_positive("tol", tol, ()))
     budget, kicks = as_count("max_iterations", max_iterations, least=1), as_count("kicks", kicks)
-    problem = StaticProblem(system, t, q)
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-        return _search(problem, tol, budget, kicks)
+        return _search(StaticProblem(system, t, q), tol, budget, kicks)
 
 
 def _search(problem: StaticProblem, tol: float, budget: int, kicks: int) -> Equilibrium:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -10,6 +10,7 @@ from dsim.arrays.checks import Array
 from dsim.solve.curvature import Mode, softest_mode
 from dsim.solve.linear import (
     Factor,
+    Matrix,
     SingularMatrixError,
     factorize,
     factorize_definite,
@@ -20,8 +21,12 @@ from dsim.solve.newton import NewtonResult, Status, newton
 from dsim.steppers.stepper import Counters
 from dsim.system import Stiffness, System
 
+if TYPE_CHECKING:
+    from dsim.solve.band import Band
+
 _CORRECTION = 1e-10  # Newton's last correction, relative to the body's size
 _FAR = 1e9  # sizes of the body: who has gone so far downhill has no equilibrium
+_BESIDE = 1e-8  # of the largest entry: what is added to a singular matrix, for a direction only
 _KICK = 0.1  # sizes of the body: the first step away from an unstable equilibrium
 
 # A fold or bifurcation: the smallest eigenvalue is below SOFT of the largest, and grows more than tenfold within
@@ -120,7 +125,7 @@ class StaticProblem:
         matrix, scale, band = self.stiffness(q)
         self.counters += Counters(factorizations=1, solves=1)
         if not self.conservative:
-            return Capped(factorize(matrix, band), size + gone)
+            return Capped(_factor_nearby(matrix, scale, band), size + gone)
         if scale == 0.0:  # no stiffness at all: straight downhill
             return Capped(None, size + gone)
         return Capped(factorize_definite(matrix, band), size + gone)
@@ -224,3 +229,19 @@ class StaticProblem:
                 return place
             length /= 2
         return None
+
+
+def _factor_nearby(matrix: Matrix, size: float, band: Band | None) -> Factor:
+    """The factor of the matrix, or of one a little beside it where it is singular.  Raises SingularMatrixError."""
+    try:
+        return factorize(matrix, band)
+    except SingularMatrixError:
+        return factorize(matrix + _BESIDE * size * _identity_like(matrix))
+
+
+def _identity_like(matrix: Matrix) -> Matrix:
+    if isinstance(matrix, np.ndarray):
+        return np.eye(len(matrix))
+    from dsim.arrays.scatter import diagonal
+
+    return diagonal(np.ones(matrix.shape[0]))
