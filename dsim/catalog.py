@@ -187,9 +187,9 @@ HARD_CASES: tuple[HardCase, ...] = (
     ),
     HardCase(
         45,
-        "the norm at zero",
-        "gradients through |x| where x = 0, alone and inside a simulation",
-        "|x| has a kink there: 0 is a subgradient, and nothing may become NaN",
+        "the norm at zero; checkpoints",
+        "gradients through |x| where x = 0, alone and inside a simulation; 1001 steps with 10 states kept",
+        "|x| has a kink there: 0 is a subgradient, nothing may become NaN; the full tape's gradient, bit by bit",
         hard_cases.norm_at_zero,
     ),
 )

@@ -17,7 +17,7 @@ from dsim.report import hard_cases as report
 from dsim.report import sections
 from dsim.steppers import RK4, ForwardEuler, ImplicitMidpoint, SymplecticEuler
 from dsim.studies.hard_cases import HardCaseResult, Panel, select
-from dsim.studies.hard_cases.gradients import naive_direction
+from dsim.studies.hard_cases.gradients import naive_direction, stale_checkpoint
 from dsim.studies.hard_cases.long_time import JacobiCg, midpoint_by_cg, momenta, spring_net
 from dsim.studies.hard_cases.model import Curve, at_most
 from dsim.studies.hard_cases.springs import oscillator, stability_warning
@@ -104,6 +104,7 @@ SABOTAGE = {
     "5: no line search": (5, {"globalize": "none"}, "largest |x| at the end"),
     "41: a verdict that promises all digits": (41, {"judge": trusting}, '"chaotic" after 60 steps'),
     "45: the naive norm": (45, {"direction": naive_direction}, "its value at 0"),
+    "45: a stale checkpoint": (45, {"checkpointed": stale_checkpoint}, "unlike the full tape's"),
     "45: a NaN spring": (45, {"springs": nan_springs}, "all entries finite"),
     "45: a subgradient that is none": (45, {"direction": lambda e: np.where(e == 0, 1.0, naive_direction(e))}, "at 0"),
 }
