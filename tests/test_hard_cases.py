@@ -22,10 +22,11 @@ from dsim.solve.newton import Status
 from dsim.steppers import RK4, ForwardEuler, ImplicitMidpoint, SymplecticEuler
 from dsim.studies.hard_cases import HardCaseResult, Panel, select
 from dsim.studies.hard_cases.equilibria import plain_newton
-from dsim.studies.hard_cases.gradients import naive_direction
+from dsim.studies.hard_cases.gradients import naive_direction, stale_checkpoint
 from dsim.studies.hard_cases.long_time import JacobiCg, midpoint_by_cg, momenta, spring_net
 from dsim.studies.hard_cases.model import Curve, at_most
 from dsim.studies.hard_cases.springs import oscillator, stability_warning
+from dsim.studies.verdicts import judge_descent
 
 CASES = {case.number: case for case in catalog.HARD_CASES}
 
@@ -38,7 +39,7 @@ def red(checks):
 
 
 def test_the_rows():
-    assert list(CASES) == [1, 2, 3, 4, 5, 6, 7, 8, 9, 45]
+    assert list(CASES) == [1, 2, 3, 4, 5, 6, 7, 8, 9, 41, 45]
     assert all(case.title and case.setup and case.truth for case in CASES.values())
 
 
@@ -117,6 +118,11 @@ def newton_alone(system, q0, kicks=0):
     return Equilibrium(system, 0.0, plain_newton(system, np.array(q0)).z, Status.CONVERGED, 0.0)
 
 
+def trusting(simulator):
+    """A verdict that never doubts."""
+    return replace(judge_descent(simulator), verdict="downhill", digits=16.0)
+
+
 SABOTAGE = {
     "1: a stepper that keeps the energy": (1, {"survivor": ImplicitMidpoint()}, "energy ratio"),
     "1: the naive stepper": (1, {"survivor": ForwardEuler()}, "energy ratio"),
@@ -133,7 +139,9 @@ SABOTAGE = {
     "7: no status": (7, {"find": never(Status.SINGULAR)}, 'status "singular"'),
     "7: wrong derivatives": (7, {"find": amiss}, "dtheta/dP"),
     "7: the naive method": (7, {"find": newton_alone}, "angle"),
+    "41: a verdict that promises all digits": (41, {"judge": trusting}, '"chaotic" after 60 steps'),
     "45: the naive norm": (45, {"direction": naive_direction}, "its value at 0"),
+    "45: a stale checkpoint": (45, {"checkpointed": stale_checkpoint}, "unlike the full tape's"),
     "45: a NaN spring": (45, {"springs": nan_springs}, "all entries finite"),
     "45: a subgradient that is none": (45, {"direction": lambda e: np.where(e == 0, 1.0, naive_direction(e))}, "at 0"),
 }
@@ -251,7 +259,7 @@ def test_a_red_case_is_told_and_exits_with_1(monkeypatch):
 def test_bad_usage_is_one_clear_line(tmp_path, monkeypatch, capsys):
     (tmp_path / "file").touch()
     for arguments, line in (
-        (["0"], "dsim: N must be one of 1, 2, 3, 4, 5, 6, 7, 8, 9, 45; got 0"),
+        (["0"], "dsim: N must be one of 1, 2, 3, 4, 5, 6, 7, 8, 9, 41, 45; got 0"),
         (["5", "--to", str(tmp_path / "file")], f"dsim: --to must be a directory; {tmp_path / 'file'} is a file"),
     ):
         monkeypatch.setattr("sys.argv", ["dsim", "hard-cases", *arguments])
