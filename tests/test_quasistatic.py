@@ -288,6 +288,7 @@ def field(force, slope):
 FAILS = {
     "free fall": (System([1.0], [Gravity([0.0, -9.81])], 2), [0.0, 0.0], {}, Status.NO_EQUILIBRIUM),
     "a force that is nowhere 0": (field(lambda x: 1 + x**2, lambda x: 2 * x), [5.0], {}, Status.NO_EQUILIBRIUM),
+    "a fall into a sun": (scenes.kepler().system, [1.0, 0.0], {}, Status.NO_EQUILIBRIUM),
     "too few iterations": (hanging(), HANGING, {"max_iterations": 2}, Status.MAX_ITERATIONS),
     "the energy of another force": (hanging(springs=Wrong), HANGING, {}, Status.LINE_SEARCH_FAILED),
     "nan": (field(lambda x: np.sqrt(x), lambda x: x), [-1.0], {}, Status.NOT_FINITE),

@@ -45,7 +45,7 @@ class Equilibrium:
     eigenvalue: the smallest of -df/dq over the largest.  kicks: how often an unstable equilibrium was left.
     """
 
-    system: System
+    system: System = field(repr=False)
     t: float
     q: Array
     status: Status

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 _CORRECTION = 1e-10  # Newton's last correction, relative to the body's size
 _FAR = 1e9  # sizes of the body: who has gone so far downhill has no equilibrium
 _BESIDE = 1e-8  # of the largest entry: what is added to a singular matrix, for a direction only
+_STUCK = 1e-2  # imbalance of a place where Newton ends far from balance: a planet's fall into its sun
 _KICK = 0.1  # sizes of the body: the first step away from an unstable equilibrium
 
 # A fold or bifurcation: the smallest eigenvalue is below SOFT of the largest, and grows more than tenfold within
@@ -149,11 +150,13 @@ class StaticProblem:
         if not np.isfinite(result.residuals[-1]):
             return result.z, Status.NOT_FINITE, np.inf
         imbalance = self.imbalance(result.z, self.residual(result.z))
-        return result.z, self._ending(result, imbalance <= tol), imbalance
+        return result.z, self._ending(result, imbalance, tol), imbalance
 
-    def _ending(self, result: NewtonResult, balanced: bool) -> Status:
-        if balanced:
+    def _ending(self, result: NewtonResult, imbalance: float, tol: float) -> Status:
+        if imbalance <= tol:
             return Status.CONVERGED
+        if result.converged and imbalance > _STUCK:
+            return Status.NO_EQUILIBRIUM
         if result.status in (Status.SINGULAR, Status.LINE_SEARCH_FAILED):
             return Status.LINE_SEARCH_FAILED if self.conservative else Status.NO_EQUILIBRIUM
         return Status.MAX_ITERATIONS if result.converged else result.status
