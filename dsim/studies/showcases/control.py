@@ -63,12 +63,15 @@ class Trunk:
         value = 0.5 * float((gap**2).sum()) / count + EFFORT * float((bent**2).mean()) / (LONGEST - 1) ** 2
         return value, dy, {"muscles.rest_length": 2 * EFFORT / (LONGEST - 1) ** 2 / bent.size * bent / self.rest}
 
+    @property
+    def variables(self) -> Variables:
+        return Variables(self.scene.system, self.scene.y0, ["muscles.rest_length"])
+
     def contracted(self) -> Turned:
         """u (steps E,) in -1 .. 1 -> the objective, rest lengths being rest (1 + 0.25 u)."""
         from scipy.sparse import diags_array
 
-        scene = self.scene
-        variables = Variables(scene.system, scene.y0, ["muscles.rest_length"])
+        scene, variables = self.scene, self.variables
 
         def run(system: System, y0: Array) -> Trajectory:
             return simulate(scene.stepper, system, y0, scene.h, scene.steps, keep="steps")
@@ -153,10 +156,8 @@ def steered(task: Trunk, iterations: int, fit: Fit | None = None, report: Report
     options = {"maxiter": iterations, "maxcor": 20}
     found = optimise(fit or turned, start, report=told, bounds=[(-1.0, 1.0)] * len(start), options=options)
     scene, rest_length = task.scene, turned.at(found.p)
-    system = scene.system.with_theta(
-        scene.system.join(**{"muscles.rest_length": rest_length.reshape(-1, len(task.rest))})
-    )
-    after = simulate(scene.stepper, system, scene.y0, scene.h, scene.steps)
-    finer = task.miss(simulate(RK4(), system, scene.y0, scene.h / 2, 2 * scene.steps), every=2)
+    system, y0 = task.variables.place(rest_length)
+    after = simulate(scene.stepper, system, y0, scene.h, scene.steps)
+    finer = task.miss(simulate(RK4(), system, y0, scene.h / 2, 2 * scene.steps), every=2)
     slope = slope_error(fit or turned, start)
     return Control(task, scene.simulate(), after, rest_length.reshape(-1, len(task.rest)), found, slope, finer)

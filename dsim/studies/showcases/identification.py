@@ -1,9 +1,9 @@
 """Identification: the stiffness of every spring of a net, from a film of its points, with honest error bars.
 
-Gauss-Newton (`least_squares`) on residuals with exact Jacobians.  From noise-free positions every spring is found that
-can be; from noisy ones the covariance s^2 (J^T J)^-1 gives error bars, and many draws of the noise show whether bars
-that claim 95 % cover the truth in 95 % of all cases.  What the film cannot tell gets an infinite bar: the spring between
-two hooks, which never moves, and two springs side by side, of which only the sum acts.
+Gauss-Newton (`least_squares`) on residuals with exact Jacobians.  From noise-free positions every spring is found
+that can be; from noisy ones the covariance s^2 (J^T J)^-1 gives error bars, and many draws of the noise show whether
+bars that claim 95 % cover the truth in 95 % of all cases.  What the film cannot tell gets an infinite bar: the spring
+between two hooks, which never moves, and two springs side by side, of which only the sum acts.
 
 Lecture: "Differentiable simulation", parameters from observations; the covariance is that of nonlinear regression
 (Seber and Wild, "Nonlinear Regression", 1989, chapter 2).
@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,7 +35,7 @@ NOISE = 5e-4  # m: standard deviation of an observed coordinate
 LEVEL = 0.95  # of the error bars
 RISK = 1e-3  # of a red check although bars are right: the limits of a count are those of the binomial distribution
 
-STRICT = {"ftol": 1e-12, "xtol": 1e-12, "gtol": 1e-6}  # to round-off, and no further
+STRICT: dict[str, Any] = {"ftol": 1e-12, "xtol": 1e-12, "gtol": 1e-6}  # to round-off, and no further
 
 Mask = NDArray[np.bool_]
 
@@ -242,7 +243,7 @@ def identified(film: Film, draws: int, report: Report | None = None) -> Identifi
     exact = film.residuals(film.exact)
     told = telling(report, total, "noise-free, squares")
     found = optimise(exact, start, bounds=(TYPICAL / 100, TYPICAL * 100), max_nfev=60, report=told, **STRICT)
-    noisy = []
+    noisy: list[Estimate] = []
     for draw in range(draws):
         if report is not None:
             report(min(fits, found.evaluations) + draw, total, f"draw {draw + 1} of {draws}")

@@ -1,4 +1,4 @@
-"""What moves a body, and what it stands on: springs whose rest lengths are set step by step, and a soft ground."""
+"""What moves a soft body: springs whose rest lengths are set step by step."""
 
 from __future__ import annotations
 
@@ -7,9 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from dsim.arrays.checks import Array, Numbers, as_array, as_pairs, as_positive, as_step
+from dsim.arrays.checks import Array, Numbers, as_pairs, as_positive, as_step
 from dsim.arrays.frozen import replace
-from dsim.arrays.scatter import block_diagonal, diagonal
 from dsim.effects import Springs
 
 if TYPE_CHECKING:
@@ -21,7 +20,7 @@ class Muscles:
     """Springs that push and pull: U = k/2 (|x_ij| - rest_length[n])^2 while n h <= t < (n+1) h.
 
     pairs (E,2); rest_length (steps,E) m: the actuation, one row a step; stiffness N/m, a number or (E,); h s.
-    A muscle pulls its two ends together: it cannot move the body as a whole, what does is the ground.
+    A muscle pulls its two ends together: alone it cannot move the body as a whole.
     Raises ValueError on bad input, and outside the rows' time.
     """
 
@@ -107,60 +106,3 @@ class MuscleRows:
         x_bar, v_bar, rest_length = bars
         own = rest_length.reshape(self.muscles.rest_length.shape)[self._turn_to(t)]
         self.springs.add_vjp(t, place, w, (x_bar, v_bar, own, self.unused), saved)
-
-
-@dataclass(frozen=True, eq=False)
-class Ground:
-    """A soft floor at height 0 that carries and holds: f = N (e - c v_t), of each point.
-
-    N(z) = k (sqrt(z^2 + w^2) - z)/2 N, z the last coordinate: k times the depth below, fading over the width w m;
-    e is up and v_t the velocity along the floor, c s/m the grip.  Smooth, so that gradients pass through landings.
-    """
-
-    stiffness: float
-    grip: float
-    width: float = 0.01
-    name: str = "ground"
-    dimension: int = 0  # set by bind
-
-    def bind(self, mass: Array, dimension: int) -> Ground:
-        return replace(self, dimension=dimension)
-
-    def _load(self, q: Array) -> tuple[Array, Array]:
-        """N and dN/dz, (points,)."""
-        z = q.reshape(-1, self.dimension)[:, -1]
-        far = np.hypot(z, self.width)
-        # below, sqrt - z adds two positives; above, w^2/(sqrt + z) avoids the difference of equals
-        load = self.stiffness / 2 * np.where(z > 0, self.width**2 / (far + np.abs(z)), far - z)
-        return load, self.stiffness / 2 * (z / far - 1)
-
-    def force(self, t: float, q: Array, v: Array) -> Array:
-        load, _ = self._load(q)
-        f = -self.grip * load[:, None] * v.reshape(-1, self.dimension)
-        f[:, -1] = load
-        return f.ravel()
-
-    def _blocks(self, q: Array, v: Array) -> tuple[Array, Array]:
-        """df_i/dz_i (points,d), and the diagonal of df_i/dv_i (points,d)."""
-        load, slope = self._load(q)
-        by_z = -self.grip * slope[:, None] * v.reshape(-1, self.dimension)
-        by_z[:, -1] = slope
-        by_v = np.repeat(-self.grip * load[:, None], self.dimension, axis=1)
-        by_v[:, -1] = 0.0
-        return by_z, by_v
-
-    def dq(self, t: float, q: Array, v: Array) -> csr_array:
-        by_z, _ = self._blocks(q, v)
-        blocks = np.zeros((*by_z.shape, self.dimension))
-        blocks[:, :, -1] = by_z
-        return block_diagonal(blocks)
-
-    def dv(self, t: float, q: Array, v: Array) -> csr_array:
-        return diagonal(self._blocks(q, v)[1].ravel())
-
-    def vjp(self, t: float, q: Array, v: Array, w: Array) -> tuple[Array, Array, float]:
-        by_z, by_v = self._blocks(q, v)
-        push = w.reshape(by_z.shape)
-        by_q = np.zeros(by_z.shape)
-        by_q[:, -1] = np.einsum("nd,nd->n", by_z, push)
-        return by_q.ravel(), (by_v * push).ravel(), 0.0

@@ -90,7 +90,7 @@ class Throw:
 
 
 def throw(n: int, wind: Any = gusts, wind_jacobian: Any = gusts_jacobian) -> Throw:
-    """A net of n x n points, 1 m x 1 m, lying in the hand; after 1.2 s it should stand upright around the bull's eye."""
+    """A net of n x n points, 1 m x 1 m, lying in the hand; after 1.2 s it should stand upright in its frame."""
     x, sides, diagonals = lattice((n, n), 1 / (n - 1))
     edges = np.concatenate([sides, diagonals])
     rest = np.linalg.norm(x[edges[:, 1]] - x[edges[:, 0]], axis=1)
