@@ -24,7 +24,7 @@ class BlockSystem:
     """dG/dx (N m, N m) and dG/dp (N m, ny + P), p = (y0, theta).
 
     m is the size of a step's state: ny, or 2 ny for two-step methods, whose first block row is the step that makes
-    the past.  `ticks` (N+1,) are the first rows of the blocks.
+    the past; `reduced` has ny for them too.  `ticks` (N+1,) are the first rows of the blocks.
     """
 
     trajectory: Trajectory
@@ -55,6 +55,27 @@ class BlockSystem:
         gradient: Array = -(self.dGdp.T @ self._factor().solve_transposed(loads.ravel()))
         gradient[:ny] += dJdy[0]
         return gradient
+
+    def reduced(self) -> BlockSystem:
+        """Without the copies of x_n that a two-step method carries along: block rows of size ny, as the lecture draws
+        them, G_n(x_n, x_{n-1}, x_{n-2}, p), and before them one for the past that the method makes up."""
+        from scipy.sparse import csc_array, csr_array
+        from scipy.sparse.linalg import splu
+
+        ny, first = self._sizes
+        if not first:
+            return self
+        halves = np.arange(self.dGdx.shape[0]).reshape(len(self.ticks) - 1, 2, ny)
+        kept = np.concatenate([halves[:1, 1], halves[1:, 0]]).ravel()  # the past, then x_1, ..., x_N
+        copies = np.concatenate([halves[:1, 0], halves[1:, 1]]).ravel()
+        above, below = self.dGdx[kept], self.dGdx[copies]
+        inverse = splu(csc_array(below[:, copies]))
+        through = csr_array(above[:, copies])
+        dGdx, dGdp = (
+            csr_array(direct - through @ inverse.solve(copied.toarray()))
+            for direct, copied in ((above[:, kept], below[:, kept]), (self.dGdp[kept], self.dGdp[copies]))
+        )
+        return BlockSystem(self.trajectory, dGdx, dGdp, self.ticks // 2)
 
     @property
     def _sizes(self) -> tuple[int, int]:

@@ -17,7 +17,7 @@ from dsim.arrays.checks import Array
 from dsim.pictures import work_precision as pictures
 from dsim.pictures.files import write_atomically
 from dsim.pictures.style import save, to_svg
-from dsim.report import model, terminal
+from dsim.report import gradient_cost, model, terminal
 from dsim.report.model import Picture, Section, Table, figures
 from dsim.steppers import BackwardEuler, ImplicitMidpoint
 from dsim.studies import problems, tolerances
@@ -37,6 +37,7 @@ from dsim.studies.work_precision import (
 
 ASYMPTOTIC = 0.999  # R^2 of a fit that deserves to be called an order
 QUICK_PROBLEMS = ("projectile", "pendulum")  # the others when they are named
+GRADIENTS = "gradients"  # beside the problems: what gradients cost, and how they converge
 
 
 def methods(problem: problems.Problem) -> tuple[Method, ...]:
@@ -47,19 +48,25 @@ def methods(problem: problems.Problem) -> tuple[Method, ...]:
 def select(names: Sequence[str]) -> tuple[problems.Problem, ...]:
     """The problems of these names, all of them without any; ValueError with suggestions for a name nobody knows."""
     found = {build.__name__.replace("_", "-"): build for build in catalog.PROBLEMS}
+    known = [*found, GRADIENTS]
     for name in names:
         if name not in found:
-            close = difflib.get_close_matches(name, found, n=2, cutoff=0.5)
+            close = difflib.get_close_matches(name, known, n=2, cutoff=0.5)
             hint = f"; did you mean {' or '.join(close)}?" if close else ""
-            raise ValueError(f"PROBLEM must be one of {', '.join(found)}; got {name!r}{hint}")
+            raise ValueError(f"PROBLEM must be one of {', '.join(known)}; got {name!r}{hint}")
     return tuple(build() for name, build in found.items() if not names or name in names)
 
 
-def run(names: Sequence[str], to: Path, *, quick: bool = False, fresh: bool = False) -> None:
-    """Measure, draw, print and write everything under `to`; finished cells are read from `to/cells`."""
-    chosen, sweep = select(names or QUICK_PROBLEMS * quick), QUICK if quick else Sweep()
-    store = Store(to / "cells", fresh=fresh)
-    studies = []
+def run(names: Sequence[str], to: Path, *, quick: bool = False, fresh: bool = False) -> int:
+    """Measure, draw, print and write everything under `to`; finished cells are read from `to/cells`.
+
+    names: problems, and "gradients"; no name means every problem (with quick: two).  Returns the exit code: 1 where a
+    check of the gradients is red.
+    """
+    wanted = [name for name in names if name != GRADIENTS]
+    chosen = select(wanted or QUICK_PROBLEMS * quick) if wanted or not names else ()
+    sweep, store = QUICK if quick else Sweep(), Store(to / "cells", fresh=fresh)
+    studies, results = [], None
     with _bar() as bar:
         task = bar.add_task("", total=sum(_cells(p, sweep) for p in chosen))
         for problem in chosen:
@@ -69,18 +76,24 @@ def run(names: Sequence[str], to: Path, *, quick: bool = False, fresh: bool = Fa
             bar.update(task, completed=sum(len(study.cells) for study in studies))
             for kind in ("png", "svg"):
                 save(pictures.work_precision(study), to / f"{study.problem}.{kind}")
-        bar.update(task, description="Newton's tolerance, difference steps")
-        _curves(to, 50 if quick else 200, fresh)
+        if chosen:
+            bar.update(task, description="Newton's tolerance, difference steps")
+            _curves(to, 50 if quick else 200, fresh)
+        if GRADIENTS in names:
+            bar.update(task, total=None)  # how much is left depends on what it costs
+            results = gradient_cost.measure(quick, store, partial(_show, bar, task))
+            gradient_cost.draw(results, to)
     out = terminal.console()
     with out.capture() as text:
-        for study in studies:
-            for table in tables(study):
-                out.print(lines(table))
+        for table in (*(t for study in studies for t in tables(study)), *(results.tables() if results else ())):
+            out.print(lines(table))
     write_atomically(to / "table.txt", text.get().encode())
     data = {"versions": versions(), "studies": [study.to_dict() for study in studies]}
+    data |= {GRADIENTS: results.to_dict()} if results else {}
     write_atomically(to / "accuracy.json", json.dumps(finite(data), indent=1, allow_nan=False).encode())
     out.print(text.get(), markup=False, end="")
     out.print(f"pictures, table.txt and accuracy.json: {to}", soft_wrap=True, markup=False)
+    return int(results is not None and not all(check.passed for check in results.checks))
 
 
 def _bar() -> Progress:

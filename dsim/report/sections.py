@@ -7,6 +7,7 @@ from functools import partial
 from dsim.report import derivations, methods
 from dsim.report.accuracy import accuracy
 from dsim.report.environment import build_environment
+from dsim.report.gradients import gradients
 from dsim.report.hard_cases import hard_cases
 from dsim.report.model import SectionJob
 from dsim.report.plans import plans, speed
@@ -18,6 +19,7 @@ def jobs(full: bool = False) -> tuple[SectionJob, ...]:
         SectionJob("scenes", "Gradients of the scenes", partial(methods.scene_gradients, full=full)),
         SectionJob("orders", "Observed orders of accuracy", methods.orders),
         SectionJob("accuracy", "What accuracy costs", partial(accuracy, full=full)),
+        SectionJob("gradients", "Gradients of whole trajectories", partial(gradients, full=full)),
         SectionJob("steppers", "Steppers and their linearizations", partial(derivations.steppers, full=full)),
         SectionJob("derivatives", "Forces and their derivatives", partial(derivations.derivatives, full=full)),
         SectionJob("newton", "Newton's method", methods.newton),
