@@ -23,7 +23,7 @@ from dsim.effects import Drag, Gravity, Springs
 from dsim.gradients import Optimisation, ReducedObjective, Residuals, Variables, optimise
 from dsim.scenes.nets import lattice
 from dsim.scenes.scene import Scene
-from dsim.simulation import Trajectory, simulate
+from dsim.simulation import SimulationError, Trajectory, simulate
 from dsim.steppers import SymplecticEuler
 from dsim.studies.check import Check
 from dsim.studies.hard_cases.model import at_least, at_most, equal
@@ -255,20 +255,31 @@ def identified(film: Film, draws: int, report: Report | None = None) -> Identifi
 
 
 def refit(film: Film, seen: Array, start: Array) -> Estimate:
-    """The least-squares fit of one film, near `start`: Newton's method with the Gauss-Newton matrix of the start.
+    """The least-squares fit of one film, near `start`: damped Newton with the Gauss-Newton matrix of the start.
 
     The gradient is exact, by the adjoint: where it ends is where J^T r = 0, whatever matrix led there.
     """
     residuals, squares = film.residuals(seen), film.half_squares(seen)
     near = estimate(start, residuals.jacobian(start), residuals(start))
-    stiffness = start
+    stiffness, (value, gradient) = start, squares(start)
     for _ in range(30):
-        _, gradient = squares(stiffness)
         steps = near.axes.T @ (start * gradient) / near.singular  # in standard deviations of each direction, times s
-        stiffness = stiffness - start * (near.axes @ (steps / near.singular))
         if (np.abs(steps) <= 1e-3 * near.noise).all():
             break
+        stiffness, value, gradient = _downhill(squares, stiffness, start * (near.axes @ (steps / near.singular)), value)
     return estimate(stiffness, residuals.jacobian(stiffness), residuals(stiffness))
+
+
+def _downhill(squares: ReducedObjective, p: Array, step: Array, value: float) -> tuple[Array, float, Array]:
+    """p less the step, or the half, the quarter, ... of it: the first that lowers the value; else p."""
+    for shrink in 0.5 ** np.arange(20):
+        try:
+            found, gradient = squares(p - shrink * step)
+        except SimulationError:  # too stiff for the step size
+            continue
+        if found <= value:
+            return p - shrink * step, found, gradient
+    return p, *squares(p)
 
 
 def _slope_error(residuals: Residuals, p: Array, step: float = 1e-3) -> float:
