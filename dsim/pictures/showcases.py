@@ -166,7 +166,7 @@ def convergence(found: Optimisation, name: str) -> Figure:
     label(bottom, "evaluation", "largest entry of the gradient")
     top.set(yscale="log", xlabel="")
     bottom.set_yscale("log")
-    top.legend(loc="upper right", fontsize=9)
+    top.legend(loc="lower left", fontsize=9)
     return figure
 
 
