@@ -27,7 +27,7 @@ from dsim.steppers import (
     TwoStepBackwardEuler,
     VelocityVerlet,
 )
-from dsim.studies import hard_cases, problems
+from dsim.studies import hard_cases, planted, problems
 from dsim.studies.convergence import OrderProblem, leaf_in_river, pendulum_in_wind
 from dsim.studies.derivatives import EffectExample
 from dsim.studies.hard_cases import HardCase
@@ -203,10 +203,19 @@ HARD_CASES: tuple[HardCase, ...] = (
         hard_cases.free_net,
     ),
     HardCase(
+        41,
+        "chaos",
+        "the logistic map x -> 4 x (1 - x) from sin^2(0.3)",
+        "x_n = sin^2(2^n 0.3), so dx_n/dx_0 = 2^n sin(2^(n+1) 0.3)/sin(0.6)",
+        hard_cases.chaotic_map,
+    ),
+    HardCase(
         45,
-        "the norm at zero",
-        "gradients through |x| where x = 0, alone and inside a simulation",
-        "|x| has a kink there: 0 is a subgradient, and nothing may become NaN",
+        "the norm at zero; checkpoints",
+        "gradients through |x| where x = 0, alone and inside a simulation; 1001 steps with 10 states kept",
+        "|x| has a kink there: 0 is a subgradient, nothing may become NaN; the full tape's gradient, bit by bit",
         hard_cases.norm_at_zero,
     ),
 )
+
+PLANTED: tuple[planted.PlantedBug, ...] = planted.bugs()

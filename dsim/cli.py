@@ -180,6 +180,52 @@ def check(
     raise typer.Exit({"smooth": 0, "wrong": 1}.get(report.verdict, 2))
 
 
+@app.command()
+def audit(
+    program: Annotated[str, typer.Argument(help="FILE.py:FUNCTION; dsim's own cloth if none.")] = "",
+    peers: Annotated[bool, typer.Option("--peers", help="JAX, Taichi, Warp and autograd, where installed.")] = False,
+    peers_in: Annotated[Path, typer.Option("--peers-in", help="Where their programs lie.", metavar="DIR")] = Path(
+        "tests/peers"
+    ),
+    planted: Annotated[bool, typer.Option("--planted", help="Find the planted bugs instead.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON only.")] = False,
+    plot: Annotated[Path | None, typer.Option("--plot", help="Draw the verdicts (.png, .svg).", metavar="FILE")] = None,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress on stderr.")] = False,
+) -> None:
+    """Three verdicts on a simulator: the program's derivative?  the physics'?  does it point downhill?
+
+    FUNCTION is either `make(problem)`, the cloth in your framework: from the arrays of
+    `dsim.studies.peers.cloth_problem` it returns (forward, gradient), both of (stiffness, v0), as in tests/peers/;
+    or it takes nothing and returns a `dsim.studies.verdicts.Simulator`, any program of yours.
+
+    Exit code 0: all three are good. 1: one is bad, or a planted bug was not found. 2: no verdict, or bad usage.
+
+    **Examples**
+
+    `dsim audit` - dsim's own cloth
+
+    `dsim audit tests/peers/jax_cloth.py:make --plot verdicts.png` - the cloth in another framework
+
+    `dsim audit mine.py:simulator --json` - any program of yours, for a script
+
+    `dsim audit --peers` - the other simulators, from a checkout of dsim
+
+    `dsim audit --planted` - the bugs that a checker must find
+    """
+    from dsim import catalog
+    from dsim.report import auditing
+
+    if (bool(program) + peers + planted) > 1:
+        raise ValueError("give one of FILE.py:FUNCTION, --peers and --planted")
+    if plot is not None and plot.suffix.lower() not in (".png", ".svg"):
+        raise ValueError(f"--plot must end in .png or .svg; got {plot}")
+    if planted:
+        raise typer.Exit(auditing.run_planted(catalog.PLANTED, quiet))
+    if peers and not peers_in.is_dir():
+        raise FileNotFoundError(f"--peers-in must be a directory with the peers' programs; there is none at {peers_in}")
+    raise typer.Exit(auditing.run(program, peers_in if peers else None, as_json, plot, quiet))
+
+
 @app.command(name="hard-cases")
 def hard_cases(
     numbers: Annotated[list[int] | None, typer.Argument(help="Cases to run; all of them if none.", metavar="N")] = None,

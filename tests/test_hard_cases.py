@@ -17,10 +17,11 @@ from dsim.report import hard_cases as report
 from dsim.report import sections
 from dsim.steppers import RK4, ForwardEuler, ImplicitMidpoint, SymplecticEuler
 from dsim.studies.hard_cases import HardCaseResult, Panel, select
-from dsim.studies.hard_cases.gradients import naive_direction
+from dsim.studies.hard_cases.gradients import naive_direction, stale_checkpoint
 from dsim.studies.hard_cases.long_time import JacobiCg, midpoint_by_cg, momenta, spring_net
 from dsim.studies.hard_cases.model import Curve, at_most
 from dsim.studies.hard_cases.springs import oscillator, stability_warning
+from dsim.studies.verdicts import judge_descent
 
 CASES = {case.number: case for case in catalog.HARD_CASES}
 
@@ -33,7 +34,7 @@ def red(checks):
 
 
 def test_the_rows():
-    assert list(CASES) == [1, 2, 3, 4, 5, 8, 9, 45]
+    assert list(CASES) == [1, 2, 3, 4, 5, 8, 9, 41, 45]
     assert all(case.title and case.setup and case.truth for case in CASES.values())
 
 
@@ -87,6 +88,11 @@ def nan_springs():
     return NanSprings([(0, 1)], 1.0, 40.0)
 
 
+def trusting(simulator):
+    """A verdict that never doubts."""
+    return replace(judge_descent(simulator), verdict="downhill", digits=16.0)
+
+
 SABOTAGE = {
     "1: a stepper that keeps the energy": (1, {"survivor": ImplicitMidpoint()}, "energy ratio"),
     "1: the naive stepper": (1, {"survivor": ForwardEuler()}, "energy ratio"),
@@ -96,7 +102,9 @@ SABOTAGE = {
     "4: no projection": (4, {"globalize": "line_search"}, "smallest eigenvalue"),
     "4: no line search": (4, {"globalize": "none"}, "largest change of the energy"),
     "5: no line search": (5, {"globalize": "none"}, "largest |x| at the end"),
+    "41: a verdict that promises all digits": (41, {"judge": trusting}, '"chaotic" after 60 steps'),
     "45: the naive norm": (45, {"direction": naive_direction}, "its value at 0"),
+    "45: a stale checkpoint": (45, {"checkpointed": stale_checkpoint}, "unlike the full tape's"),
     "45: a NaN spring": (45, {"springs": nan_springs}, "all entries finite"),
     "45: a subgradient that is none": (45, {"direction": lambda e: np.where(e == 0, 1.0, naive_direction(e))}, "at 0"),
 }
@@ -213,7 +221,7 @@ def test_a_red_case_is_told_and_exits_with_1(monkeypatch):
 def test_bad_usage_is_one_clear_line(tmp_path, monkeypatch, capsys):
     (tmp_path / "file").touch()
     for arguments, line in (
-        (["6"], "dsim: N must be one of 1, 2, 3, 4, 5, 8, 9, 45; got 6"),
+        (["6"], "dsim: N must be one of 1, 2, 3, 4, 5, 8, 9, 41, 45; got 6"),
         (["5", "--to", str(tmp_path / "file")], f"dsim: --to must be a directory; {tmp_path / 'file'} is a file"),
     ):
         monkeypatch.setattr("sys.argv", ["dsim", "hard-cases", *arguments])

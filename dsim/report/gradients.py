@@ -6,19 +6,27 @@ from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 from dsim import catalog
-from dsim.gradients import block_system
+from dsim.gradients import adjoint, block_system
 from dsim.pictures import gradients as pictures
+from dsim.pictures.audit import verdicts as draw_verdicts
 from dsim.pictures.block_system import spy
+from dsim.pictures.checkpoints import schedule as draw_checkpoints
 from dsim.pictures.style import to_svg
+from dsim.report import auditing
 from dsim.report import gradient_cost as costs
 from dsim.report.model import Picture, Progress, Section, Table
 from dsim.simulation import simulate
-from dsim.steppers import BackwardEuler, TwoStepBackwardEuler
+from dsim.steppers import BackwardEuler, SymplecticEuler, TwoStepBackwardEuler
+from dsim.steppers.checkpoints import Checkpoints
+from dsim.studies import audit, horizons
 from dsim.studies import gradient_cost as cost
 from dsim.studies import three_ways as ways
 from dsim.studies.cells import Store
 from dsim.studies.check import Check
 from dsim.studies.gradient_order import order_checks
+from dsim.studies.hard_cases.model import equal
+from dsim.studies.peers import cloth_problem, cloth_truth, twin
+from dsim.studies.verdicts.physics import REFINEMENTS
 
 LEAD = (
     "A trajectory solves one equation `G(x(p), p) = 0`, so `dx/dp = -(dG/dx)^-1 dG/dp`. The whole block system, "
@@ -105,5 +113,60 @@ def convergence(progress: Progress, full: bool) -> Part:
     return Part(order_checks(*studies.values()), (costs.order_table(studies),), (picture,))
 
 
+def checkpoints(progress: Progress, full: bool) -> Part:
+    """The staircase, and what a gradient with few states kept costs: foretold and counted."""
+    progress("checkpoints")
+    system, y0 = ways.driven_net(48)
+    checks, rows = [], []
+    for snapshots in (1, 4, 10):
+        ahead = Checkpoints(snapshots)
+        run = simulate(SymplecticEuler(), system, y0, ways.H, 48, keep=ahead)
+        took = 48 + adjoint(run, run.last).recomputed
+        checks.append(equal(f"{snapshots} states kept", "steps taken beyond those foretold",
+                            took - ahead.advances(48), 0))  # fmt: skip
+        rows.append((snapshots, ahead.advances(48), took, ahead.most(48)))
+    alt = "A staircase: steps run forward, are pulled back, and stretches between kept states are run again."
+    caption = "Binomial checkpoints: with 10 states, 1001 steps take 3641 and none is taken more than 4 times."
+    picture = Picture(to_svg(draw_checkpoints()), alt, caption, "dsim plan chain --snapshots 10")
+    columns = ("states kept", "steps foretold", "steps taken", "at most, a step")
+    table = Table(columns, tuple(rows), "48 steps and their gradient with few states kept")
+    return Part(checks, (table,), (picture,))
+
+
+def verdicts(progress: Progress, full: bool) -> Part:
+    """dsim's cloth, a chaotic map and a ball over a wall under the three verdicts; planted bugs; a picture."""
+    problem = cloth_problem(n=3, steps=10)
+    cases = (
+        (twin(problem), cloth_truth(problem, 500), 0.01, ("right", "converges", "downhill")),
+        (horizons.logistic(4), None, 1e-4, ("right", "not asked", "downhill")),
+        (horizons.logistic(60), None, 1e-4, (None, "not asked", "chaotic")),
+        (horizons.over_the_wall(), None, 0.14, ("right", "not asked", "biased")),
+    )
+    reports, checks = [], []
+    for simulator, truth, sigma, words in cases:
+        progress(f"verdicts: {simulator.name}")
+        found = audit(simulator, truth, refinements=REFINEMENTS if truth else (), sigma=sigma)
+        reports.append(found)
+        for name, word, expected in zip(("program", "physics", "descent"), found.words, words, strict=True):
+            if expected is not None:
+                checks.append(equal(simulator.name, f'{name}: the verdict is "{expected}"', word == expected, 1))
+    few = [bug for bug in catalog.PLANTED if full or bug.name in ("counted twice", "guarded division")]
+    bugs = auditing.planted(few, progress)
+    checks += [equal(bug.name, "found in the blocks and from the steps foretold", auditing.caught(bug, verdict), 1)
+               for bug, verdict in bugs]  # fmt: skip
+    alt = "Bars: digits of every block. Lines: gradient error over h; growth over time, doubling each step in chaos."
+    caption = "Three verdicts. A map that doubles errors every step has no digit left after 50."
+    picture = Picture(to_svg(draw_verdicts([*reports[:1], *reports[2:]])), alt, caption, "dsim audit --plot FILE")
+    tables = (auditing.verdict_table([auditing.Audited(r.name, r) for r in reports]), auditing.bug_table(bugs))
+    return Part(checks, tables, (picture,))
+
+
 # In the order of the page.  A topic more (optimisation, checkpoints, verdicts) is one more function here.
-PARTS: tuple[Callable[[Progress, bool], Part], ...] = (spy_plots, three_ways, cost_over_parameters, convergence)
+PARTS: tuple[Callable[[Progress, bool], Part], ...] = (
+    spy_plots,
+    three_ways,
+    cost_over_parameters,
+    convergence,
+    checkpoints,
+    verdicts,
+)

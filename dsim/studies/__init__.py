@@ -10,12 +10,16 @@ from dsim.studies.gradient_check import (
     check_jacobian,
     taylor_test,
 )
+from dsim.studies.verdicts import AuditReport, Simulator, audit
 
 __all__ = [
     "AdjointReport",
+    "AuditReport",
     "GradientReport",
     "JacobianReport",
+    "Simulator",
     "TaylorReport",
+    "audit",
     "check_adjoint",
     "check_gradient",
     "check_jacobian",

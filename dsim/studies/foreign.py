@@ -12,6 +12,7 @@ import traceback
 from collections.abc import Callable, Sequence
 from contextlib import redirect_stdout
 from dataclasses import dataclass
+from functools import wraps
 from pathlib import Path
 from typing import Any
 
@@ -48,7 +49,7 @@ def read_point(text: str) -> Array:
         raise ValueError(f"--at must hold an array x; {path} does not ({error})") from error
 
 
-def load_function(text: str) -> Callable[[Any], Any]:
+def load_function(text: str) -> Callable[..., Any]:
     """FUNCTION of "FILE.py:FUNCTION", with errors inside it told as one line with its place."""
     file, colon, name = text.rpartition(":")
     if not colon or not file.endswith(".py"):
@@ -66,14 +67,15 @@ def load_function(text: str) -> Callable[[Any], Any]:
     except (Exception, SystemExit) as error:
         raise ValueError(f"{file} could not be run: {_told(error, path)}") from error
     function = getattr(module, name, None)
-    if not callable(function):
+    if function is None or not callable(function):
         known = [n for n, v in vars(module).items() if callable(v) and not n.startswith("_")]
         raise ValueError(f"{file} has no function {name!r}; it has {', '.join(known) or 'none'}")
 
-    def called(x: Any) -> Any:
+    @wraps(function)
+    def called(*x: Any) -> Any:
         try:
             with redirect_stdout(sys.stderr):  # what it prints must not mix with the verdict
-                answer = function(x)
+                answer = function(*x)
         except (Exception, SystemExit) as error:
             raise ValueError(f"{name} raised {_told(error, path)}") from error
         if isinstance(answer, list):

@@ -3,11 +3,13 @@
 model.py     HardCase, HardCaseResult, and what is drawn: plain data
 springs.py   1-5: stiff, too quick, of no length, compressed; an overshooting Newton
 long_time.py 8, 9: energy and momenta over long times
+chaos.py     41: a derivative that is exact and useless
 gradients.py 45: the norm at 0
 
 A further case is a function that returns a HardCaseResult, and one row of `catalog.HARD_CASES`.
 """
 
+from dsim.studies.hard_cases.chaos import chaotic_map
 from dsim.studies.hard_cases.gradients import norm_at_zero
 from dsim.studies.hard_cases.long_time import free_net, orbit
 from dsim.studies.hard_cases.model import Curve, HardCase, HardCaseResult, Panel, select
@@ -24,6 +26,7 @@ __all__ = [
     "HardCase",
     "HardCaseResult",
     "Panel",
+    "chaotic_map",
     "coincident_ends",
     "compressed_spring",
     "edge_of_stability",
