@@ -17,7 +17,7 @@ from dsim.arrays.checks import Array
 from dsim.cli import app, main
 from dsim.gradients import Optimisation, Residuals, adjoint
 from dsim.pictures.showcases import convergence
-from dsim.pictures.style import to_png, to_svg
+from dsim.pictures.style import to_png
 from dsim.report import showcases as report
 from dsim.report.sections import jobs
 from dsim.steppers import SymplecticEuler
@@ -43,8 +43,8 @@ def test_a_showcase_succeeds_and_is_drawn(row: Showcase) -> None:
     assert result.checks() and not red(result.checks())
     assert result.optimisation.value < result.optimisation.values[0] and result.optimisation.evaluations > 1
     assert told and all(0 <= done <= total and text for done, total, text in told)
-    assert to_png(row.draw(result), dpi=40).startswith(b"\x89PNG")
-    assert b"<svg" in to_svg(convergence(result.optimisation, row.name))[:1000]
+    assert to_png(row.draw(result), dpi=30).startswith(b"\x89PNG")
+    assert len(convergence(result.optimisation, row.name).axes) == 2
 
 
 @pytest.mark.slow
@@ -69,7 +69,7 @@ def flipped(fit: Any) -> Any:
 
 
 def small_trunk() -> control.Trunk:
-    return control.trunk(2, 0.06, 100.0, 0.01, 25)
+    return control.trunk(1, 0.06, 100.0, 0.01, 15)
 
 
 def failed(result: Any) -> dict[str, float]:
@@ -80,7 +80,7 @@ def test_control_by_a_flipped_gradient_or_not_at_all_is_red() -> None:
     task = small_trunk()
     found = failed(control.steered(task, 1, fit=flipped(task.contracted())))
     assert found["gradient against a difference"] == pytest.approx(2, abs=1e-6)
-    assert found["RMS miss of the tip, m"] > 0.05
+    assert found["RMS miss of the tip, m"] > 0.02
     found = failed(control.steered(task, 0))
     assert list(found) == ["RMS miss of the tip, m", "start value / value", "the same by RK4 at h/2, m"]
     assert found["start value / value"] < 1.5
@@ -88,7 +88,7 @@ def test_control_by_a_flipped_gradient_or_not_at_all_is_red() -> None:
 
 def test_targeting_by_a_flipped_gradient_or_not_at_all_is_red() -> None:
     task = targeting.throw(3)
-    task = replace(task, scene=replace(task.scene, steps=3))
+    task = replace(task, scene=replace(task.scene, steps=2))
     found = failed(targeting.aimed(task, 1, fit=flipped(task.thrown())))
     assert found["gradient against a difference"] == pytest.approx(2, abs=1e-6)
     assert found["start value / value"] == 1
@@ -124,7 +124,7 @@ SABOTAGE: dict[str, tuple[Any, ...]] = {
 
 
 def identified() -> identification.Identification:
-    return identification.identified(identification.net(4, 16), 4)
+    return identification.identified(identification.net(4, 12), 4)
 
 
 def test_a_small_identification_is_green() -> None:
@@ -328,8 +328,8 @@ def test_bad_usage_is_one_clear_line(tmp_path: Path, monkeypatch: pytest.MonkeyP
 
 
 def test_the_section_of_the_report(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(catalog, "SHOWCASES", (stub(), stub(passed=False)))
+    monkeypatch.setattr(catalog, "SHOWCASES", (stub(passed=False),))
     told: list[str] = []
     section = report.showcases(told.append)
-    assert told == ["stub", "half"] * 2 and len(section.checks) == 2 and len(section.failed) == 1
-    assert len(section.pictures) == 4 and "showcases" in [job.key for job in jobs()]
+    assert told == ["stub", "half"] and len(section.checks) == len(section.failed) == 1
+    assert len(section.pictures) == 2 and "showcases" in [job.key for job in jobs()]
