@@ -189,6 +189,20 @@ HARD_CASES: tuple[HardCase, ...] = (
         hard_cases.overshooting_newton,
     ),
     HardCase(
+        6,
+        "a truss that snaps through",
+        "von Mises' truss: half-width 1 m, rise 0.5 m, k = 1 N/m a bar, loaded up to its fold",
+        "Pc = 2k(l0^(2/3) - 1)^(3/2) = 0.0429143257 N at the height 0.277880 m; dy/dP ~ (1 - P/Pc)^(-1/2)",
+        hard_cases.von_mises_truss,
+    ),
+    HardCase(
+        7,
+        "an upright strut",
+        "a strut on a hinge under a load P L/kappa = 1.1, started upright",
+        "upright is unstable; it leans at theta/sin(theta) = 1.1, theta = 0.74898664",
+        hard_cases.hinged_strut,
+    ),
+    HardCase(
         8,
         "a planet's orbit",
         "Kepler with e = 0.6 from the pericentre, 1000 steps a period (20 periods unless in full)",
