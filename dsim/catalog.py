@@ -14,6 +14,7 @@ from dsim import scenes
 from dsim.arrays.checks import Array
 from dsim.effects import Actuation, Drag, Field, Gravity, SpringDamping, Springs
 from dsim.kernels import SPRING, Kernel
+from dsim.pictures import formwork as fabrics
 from dsim.pictures import showcases as drawn
 from dsim.steppers import (
     BDF2,
@@ -32,7 +33,7 @@ from dsim.studies.convergence import OrderProblem, leaf_in_river, pendulum_in_wi
 from dsim.studies.derivatives import EffectExample
 from dsim.studies.hard_cases import HardCase
 from dsim.studies.reference import DOP853, LSODA, RADAU, Reference
-from dsim.studies.showcases import control, identification, targeting
+from dsim.studies.showcases import control, formwork, identification, targeting
 from dsim.studies.showcases.model import Showcase
 
 
@@ -149,6 +150,12 @@ SHOWCASES: tuple[Showcase, ...] = (
         "a net thrown through drag and gusts hits a frame flat: its velocity and spin",
         targeting.run,
         drawn.targeting,
+    ),
+    Showcase(
+        "formwork",
+        "a fabric under wet concrete hangs in a wanted shape: rest lengths and stiffnesses",
+        formwork.run,
+        fabrics.before_after,
     ),
 )
 

@@ -316,7 +316,7 @@ def optimise(
     ] = None,
     quiet: Annotated[bool, typer.Option("--quiet", "-q", help="No progress on stderr.")] = False,
 ) -> None:
-    """Gradients put to work: control, identification, targeting, each with its success measured.
+    """Gradients put to work: control, identification, targeting, design, each with its success measured.
 
     Exit code 0: every check passed. 1: one did not. 2: bad usage, interrupted.
 
