@@ -14,6 +14,8 @@ from dsim import scenes
 from dsim.arrays.checks import Array
 from dsim.effects import Actuation, Drag, Field, Gravity, SpringDamping, Springs
 from dsim.kernels import SPRING, Kernel
+from dsim.pictures import formwork as fabrics
+from dsim.pictures import showcases as drawn
 from dsim.steppers import (
     BDF2,
     RK4,
@@ -31,6 +33,8 @@ from dsim.studies.convergence import OrderProblem, leaf_in_river, pendulum_in_wi
 from dsim.studies.derivatives import EffectExample
 from dsim.studies.hard_cases import HardCase
 from dsim.studies.reference import DOP853, LSODA, RADAU, Reference
+from dsim.studies.showcases import control, formwork, identification, targeting
+from dsim.studies.showcases.model import Showcase
 
 
 def _ring(points: int) -> list[tuple[int, int]]:
@@ -126,6 +130,33 @@ SCENES: tuple[Callable[..., Any], ...] = (
     scenes.kepler,
     scenes.robot,
     scenes.river,
+)
+
+SHOWCASES: tuple[Showcase, ...] = (
+    Showcase(
+        "control",
+        "a soft trunk writes a circle: the rest length of every muscle in every step",
+        control.run,
+        drawn.control,
+    ),
+    Showcase(
+        "identification",
+        "the stiffness of every spring from a film of its points, with error bars that hold",
+        identification.run,
+        drawn.identification,
+    ),
+    Showcase(
+        "targeting",
+        "a net thrown through drag and gusts hits a frame flat: its velocity and spin",
+        targeting.run,
+        drawn.targeting,
+    ),
+    Showcase(
+        "formwork",
+        "a fabric under wet concrete hangs in a wanted shape: rest lengths and stiffnesses",
+        formwork.run,
+        fabrics.before_after,
+    ),
 )
 
 HARD_CASES: tuple[HardCase, ...] = (
