@@ -11,11 +11,14 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from dsim.gradients import Equilibrium as Equilibrium
+    from dsim.gradients import EquilibriumError as EquilibriumError
     from dsim.gradients import Gradient as Gradient
     from dsim.gradients import ReducedObjective as ReducedObjective
     from dsim.gradients import Residuals as Residuals
     from dsim.gradients import Variables as Variables
     from dsim.gradients import adjoint as adjoint
+    from dsim.gradients import quasistatic as quasistatic
     from dsim.gradients import sensitivity as sensitivity
     from dsim.planning import plan as plan
     from dsim.simulation import SimulationError as SimulationError
@@ -31,6 +34,8 @@ __version__ = "0.1.0"
 
 _HOMES = {
     "Checkpoints": "dsim.steppers.checkpoints",
+    "Equilibrium": "dsim.gradients",
+    "EquilibriumError": "dsim.gradients",
     "Flow": "dsim.system",
     "Gradient": "dsim.gradients",
     "ReducedObjective": "dsim.gradients",
@@ -43,6 +48,7 @@ _HOMES = {
     "adjoint": "dsim.gradients",
     "newton": "dsim.solve",
     "plan": "dsim.planning",
+    "quasistatic": "dsim.gradients",
     "sensitivity": "dsim.gradients",
     "simulate": "dsim.simulation",
 }

@@ -14,6 +14,8 @@ from dsim import scenes
 from dsim.arrays.checks import Array
 from dsim.effects import Actuation, Drag, Field, Gravity, SpringDamping, Springs
 from dsim.kernels import SPRING, Kernel
+from dsim.pictures import formwork as fabrics
+from dsim.pictures import showcases as drawn
 from dsim.steppers import (
     BDF2,
     RK4,
@@ -31,6 +33,8 @@ from dsim.studies.convergence import OrderProblem, leaf_in_river, pendulum_in_wi
 from dsim.studies.derivatives import EffectExample
 from dsim.studies.hard_cases import HardCase
 from dsim.studies.reference import DOP853, LSODA, RADAU, Reference
+from dsim.studies.showcases import control, formwork, identification, targeting
+from dsim.studies.showcases.model import Showcase
 
 
 def _ring(points: int) -> list[tuple[int, int]]:
@@ -128,6 +132,33 @@ SCENES: tuple[Callable[..., Any], ...] = (
     scenes.river,
 )
 
+SHOWCASES: tuple[Showcase, ...] = (
+    Showcase(
+        "control",
+        "a soft trunk writes a circle: the rest length of every muscle in every step",
+        control.run,
+        drawn.control,
+    ),
+    Showcase(
+        "identification",
+        "the stiffness of every spring from a film of its points, with error bars that hold",
+        identification.run,
+        drawn.identification,
+    ),
+    Showcase(
+        "targeting",
+        "a net thrown through drag and gusts hits a frame flat: its velocity and spin",
+        targeting.run,
+        drawn.targeting,
+    ),
+    Showcase(
+        "formwork",
+        "a fabric under wet concrete hangs in a wanted shape: rest lengths and stiffnesses",
+        formwork.run,
+        fabrics.before_after,
+    ),
+)
+
 HARD_CASES: tuple[HardCase, ...] = (
     HardCase(
         1,
@@ -165,6 +196,20 @@ HARD_CASES: tuple[HardCase, ...] = (
         hard_cases.overshooting_newton,
     ),
     HardCase(
+        6,
+        "a truss that snaps through",
+        "von Mises' truss: half-width 1 m, rise 0.5 m, k = 1 N/m a bar, loaded up to its fold",
+        "Pc = 2k(l0^(2/3) - 1)^(3/2) = 0.0429143257 N at the height 0.277880 m; dy/dP ~ (1 - P/Pc)^(-1/2)",
+        hard_cases.von_mises_truss,
+    ),
+    HardCase(
+        7,
+        "an upright strut",
+        "a strut on a hinge under a load P L/kappa = 1.1, started upright",
+        "upright is unstable; it leans at theta/sin(theta) = 1.1, theta = 0.74898664",
+        hard_cases.hinged_strut,
+    ),
+    HardCase(
         8,
         "a planet's orbit",
         "Kepler with e = 0.6 from the pericentre, 1000 steps a period (20 periods unless in full)",
@@ -187,9 +232,9 @@ HARD_CASES: tuple[HardCase, ...] = (
     ),
     HardCase(
         45,
-        "the norm at zero",
-        "gradients through |x| where x = 0, alone and inside a simulation",
-        "|x| has a kink there: 0 is a subgradient, and nothing may become NaN",
+        "the norm at zero; checkpoints",
+        "gradients through |x| where x = 0, alone and inside a simulation; 1001 steps with 10 states kept",
+        "|x| has a kink there: 0 is a subgradient, nothing may become NaN; the full tape's gradient, bit by bit",
         hard_cases.norm_at_zero,
     ),
 )

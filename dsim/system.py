@@ -39,6 +39,18 @@ class _Parameter(NamedTuple):
     place: slice
 
 
+class Stiffness(NamedTuple):
+    """-df/dq (n,n), N/m: dense where a dense factorization is quicker, else CSR, with its band if it has one.
+
+    size: the sum of the effects' largest entries.  Where they cancel, the matrix itself does not show it.  Pinned
+    rows and columns hold the size on the diagonal.
+    """
+
+    matrix: Any
+    size: float
+    band: Band | None
+
+
 @dataclass(frozen=True, eq=False)
 class System:
     """Points of mass m under effects:  dq/dt = v,  M dv/dt = f(t, q, v).  Lecture: "Particle system".
@@ -53,7 +65,7 @@ class System:
     fixed: Any = ()  # stored as a tuple of indices
     layout: tuple[tuple[_Parameter, ...], ...] = field(default=(), repr=False)  # one entry an effect
     free: Array = field(default_factory=lambda: np.empty(0), repr=False)  # (n,) 1, and 0 at pinned entries
-    patterns: dict[tuple[bool, ...], SumPattern] = field(default_factory=dict, init=False, repr=False)  # of stages
+    patterns: dict[tuple[Any, ...], SumPattern] = field(default_factory=dict, init=False, repr=False)  # of matrices
 
     def __post_init__(self) -> None:
         mass = as_positive("mass", self.mass, (None,))
@@ -215,10 +227,10 @@ class System:
 
         total = csr_array((self.n, self.n))
         for effect in self.having(capability):
-            total = total + self._jacobian(effect, capability, place)
+            total = total + self.jacobian(effect, capability, place)
         return csr_array(total)
 
-    def _jacobian(self, effect: Any, capability: str, place: tuple[Any, ...]) -> csr_array:
+    def jacobian(self, effect: Any, capability: str, place: tuple[Any, ...]) -> csr_array:
         """An effect's dq or dv as CSR, whatever it came as; ValueError for another shape."""
         matrix = getattr(effect, capability)(*place)
         if np.shape(matrix) != (self.n, self.n):
@@ -306,28 +318,40 @@ class System:
         terms = [(1.0, diagonal(self.masses))]
         for weight, capability in zip(weights, ("dq", "dv"), strict=True):
             for effect in self.having(capability) if weight else ():
-                terms.append((-weight, self._jacobian(effect, capability, (t, *place))))
-        factors, matrices = zip(*terms, strict=True)
-        pattern = self._stage_pattern(weights, matrices)
-        total = pattern.total(factors, matrices, (1 - self.free) * self.masses)
-        return total if self.n > DENSE_SIZE else total.toarray()
+                terms.append((-weight, self.jacobian(effect, capability, (t, *place))))
+        return self._total(_key(weights), terms, self.masses)
 
-    def _stage_pattern(self, weights: tuple[float, float], matrices: Sequence[csr_array]) -> SumPattern:
-        """The pattern of M - b K - c D, found once and shared by all copies of this system."""
-        key = tuple(weight != 0 for weight in weights)
+    def _total(self, key: tuple[Any, ...], terms: Sequence[tuple[float, csr_array]], pinned: Array | float) -> Any:
+        """The sum of weight * matrix in the pattern of `key`, which is found once and shared by all copies."""
+        factors, matrices = zip(*terms, strict=True) if terms else ((), ())
         if key not in self.patterns or not self.patterns[key].fits(matrices):
             self.patterns[key] = SumPattern(matrices, self.free)
-        return self.patterns[key]
+        total = self.patterns[key].total(factors, matrices, (1 - self.free) * pinned)
+        return total if self.n > DENSE_SIZE else total.toarray()
 
     def stage_band(self, weights: tuple[float, float]) -> Band | None:
         """Where the last `stage_matrix` lies in a band, if it is sparse, symmetric, and the band is worth storing."""
-        if self.n <= DENSE_SIZE:
-            return None
-        pattern = self.patterns.get(tuple(weight != 0 for weight in weights))
         used = [effect for name, w in zip(("dq", "dv"), weights, strict=True) if w for effect in self.having(name)]
-        if pattern is None or not pattern.symmetric or not all(_symmetric(effect) for effect in used):
+        return self._band(_key(weights), used)
+
+    def _band(self, key: tuple[Any, ...], used: Sequence[Effect]) -> Band | None:
+        pattern = self.patterns.get(key)
+        if self.n <= DENSE_SIZE or pattern is None or not pattern.symmetric:
             return None
-        return pattern.band
+        return pattern.band if all(_symmetric(effect) for effect in used) else None
+
+    def stiffness(self, t: float, q: Array) -> Stiffness:
+        """-K = -df/dq at rest (v = 0), the matrix of an equilibrium.
+
+        Effects whose K vanishes here (all damping does) are left out, so that they do not spoil its symmetry.
+        """
+        place = (t, q, np.zeros(self.n))
+        jacobians = [(effect, self.jacobian(effect, "dq", place)) for effect in self.having("dq")]
+        acting = [(effect, matrix) for effect, matrix in jacobians if np.any(matrix.data)]
+        size = float(sum(np.abs(matrix.data).max() for _, matrix in acting))
+        key = ("stiffness", *(effect.name for effect, _ in acting))
+        matrix = self._total(key, [(-1.0, matrix) for _, matrix in acting], size or 1.0)
+        return Stiffness(matrix, size, self._band(key, [effect for effect, _ in acting]))
 
     def stage_solve(self, w: Array) -> Array:
         """M^-1 w, w (n,) or (n,k)."""
@@ -356,7 +380,7 @@ class System:
         total = np.zeros((self.n, *dtheta.shape[1:]))
         for capability, change in zip(("dq", "dv"), dplace, strict=True):
             for effect in self.having(capability):
-                total += self._jacobian(effect, capability, (t, *place)) @ change
+                total += self.jacobian(effect, capability, (t, *place)) @ change
         for effect, places in self._differentiable():
             total += effect.dtheta(t, *place) @ dtheta[places]
         inertia = k * np.repeat(dtheta[: len(self.mass)], self.dimension, axis=0).T
@@ -387,6 +411,11 @@ class System:
         if not self.conservative or b <= 0 or self.having("dv"):
             return None
         return lambda k, q: 0.5 * float(k @ (self.masses * k)) + self.potential(t, q) / b
+
+
+def _key(weights: tuple[float, float]) -> tuple[bool, ...]:
+    """Stages whose matrices have the same terms share a pattern."""
+    return tuple(weight != 0 for weight in weights)
 
 
 def _fresh(system: System, **values: Any) -> System:

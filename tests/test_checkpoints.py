@@ -18,6 +18,8 @@ from dsim.arrays.checks import Array
 from dsim.cli import app
 from dsim.effects import Gravity, Springs
 from dsim.gradients import adjoint
+from dsim.pictures.checkpoints import schedule, staircase
+from dsim.pictures.style import to_png
 from dsim.simulation import SimulationError, record, simulate
 from dsim.steppers import BDF2, BackwardEuler, ForwardEuler, RuleStepper, SymplecticEuler
 from dsim.steppers import replay as replaying
@@ -276,3 +278,16 @@ def test_a_run_that_fails_midway() -> None:
     tiny = np.full(4, 1e-250)
     with np.errstate(over="ignore", invalid="ignore"):
         assert same(adjoint(few.completed, tiny), adjoint(full.completed, tiny))
+
+
+def test_the_staircase_draws_every_step_as_often_as_it_is_taken() -> None:
+    """Every step is pulled back once, in falling order; steps taken and states kept are those of the schedule."""
+    steps, snapshots = 60, 4
+    checkpoints = Checkpoints(snapshots)
+    drawn = staircase(checkpoints, steps)
+    assert [line[1][0] for line in drawn.pulls] == list(range(steps - 1, -1, -1))
+    assert sum(end[0] - start[0] for start, end in drawn.advances) == checkpoints.advances(steps)
+    assert drawn.work == checkpoints.advances(steps) + steps
+    alive = [sum(start[1] <= work < end[1] for start, end in drawn.kept) for work in range(drawn.work)]
+    assert max(alive) == checkpoints.stored(steps) == snapshots
+    assert to_png(schedule(20, 3, 50), dpi=40).startswith(b"\x89PNG")

@@ -358,6 +358,7 @@ def test_the_section(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(gradient_cost, "orders", lambda *a: converged())
     monkeypatch.setattr(gradients, "to_svg", lambda figure: b"<svg></svg>")
     monkeypatch.setattr(gradients.catalog, "STEPPERS", (BackwardEuler(), RK4()))
+    monkeypatch.setattr(gradients, "PARTS", gradients.PARTS[:4])
     told: list[str] = []
     section = gradients.gradients(told.append)
     assert not red(section.checks) and len(section.checks) == 2 * 9 + len(cost.cost_checks(counted())) + 9

@@ -1,9 +1,10 @@
-"""Gradients of whole trajectories, from the steppers' own linearizations."""
+"""Gradients of whole trajectories and of equilibria, from linearizations that are stated elsewhere."""
 
 from dsim.gradients.adjoint import Gradient, adjoint
 from dsim.gradients.monolithic import BlockSystem, block_system
 from dsim.gradients.objectives import ReducedObjective, Residuals, Variables
 from dsim.gradients.optimisation import Optimisation, optimise
+from dsim.gradients.quasistatic import Equilibrium, EquilibriumError, quasistatic
 from dsim.gradients.second_order import (
     Linearizations,
     gauss_newton_product,
@@ -15,6 +16,8 @@ from dsim.gradients.sensitivity import sensitivities, sensitivity
 
 __all__ = [
     "BlockSystem",
+    "Equilibrium",
+    "EquilibriumError",
     "Gradient",
     "Linearizations",
     "Optimisation",
@@ -28,6 +31,7 @@ __all__ = [
     "jacobian_product",
     "jacobian_transposed",
     "optimise",
+    "quasistatic",
     "sensitivities",
     "sensitivity",
 ]

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 
 from dsim.arrays.checks import Array, as_array
-from dsim.gradients.objectives import Residuals
 
 Report = Callable[[int, float, float], None]  # (evaluation, value, norm of the gradient)
 
@@ -72,7 +71,8 @@ class _Recorded:
 
 
 def optimise(fit: Any, start: Any, *, method: str = "", report: Report | None = None, **options: Any) -> Optimisation:
-    """Minimise a value-and-gradient callable by `scipy.optimize.minimize`, or `Residuals` by `least_squares`.
+    """Minimise a value-and-gradient callable by `scipy.optimize.minimize`, or `Residuals` by `least_squares`, and
+    anything else that answers a vector and has a `.jacobian`: an array, or an operator with x_scale=1.0.
 
     start (k,).  method: SciPy's name, by default "L-BFGS-B", or "trf" for residuals.  report: called at every
     evaluation, for a progress line.  options: passed on, such as bounds=, tol= or options={"maxiter": 50}.
@@ -80,7 +80,7 @@ def optimise(fit: Any, start: Any, *, method: str = "", report: Report | None = 
     import scipy.optimize
 
     start, kept = as_array("start", start, (None,)), _Recorded(fit, report)
-    if isinstance(fit, Residuals):
+    if hasattr(fit, "jacobian"):
         result = scipy.optimize.least_squares(
             kept.residual, start, jac=kept.jacobian, method=method or "trf", **{"x_scale": "jac"} | options
         )

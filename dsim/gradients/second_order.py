@@ -73,8 +73,9 @@ def hessian_product(
 
     >>> import numpy as np
     >>> from scipy.sparse.linalg import LinearOperator
-    >>> from dsim import scenes
-    >>> run = scenes.pendulum_spring().simulate()
+    >>> from dsim import scenes, simulate
+    >>> scene = scenes.pendulum_spring()
+    >>> run = simulate(scene.stepper, scene.system, scene.y0, scene.h, steps=10)
     >>> bends = lambda dy, dtheta: dy[-1]  # J = |y_N|^2 / 2
     >>> def product(d):
     ...     return hessian_product(run, run.last, (d, None), bends).y0

@@ -11,6 +11,7 @@ from dsim.report.gradients import gradients
 from dsim.report.hard_cases import hard_cases
 from dsim.report.model import SectionJob
 from dsim.report.plans import plans, speed
+from dsim.report.showcases import showcases
 
 
 def jobs(full: bool = False) -> tuple[SectionJob, ...]:
@@ -20,6 +21,7 @@ def jobs(full: bool = False) -> tuple[SectionJob, ...]:
         SectionJob("orders", "Observed orders of accuracy", methods.orders),
         SectionJob("accuracy", "What accuracy costs", partial(accuracy, full=full)),
         SectionJob("gradients", "Gradients of whole trajectories", partial(gradients, full=full)),
+        SectionJob("showcases", "Gradients put to work", partial(showcases, full=full)),
         SectionJob("steppers", "Steppers and their linearizations", partial(derivations.steppers, full=full)),
         SectionJob("derivatives", "Forces and their derivatives", partial(derivations.derivatives, full=full)),
         SectionJob("newton", "Newton's method", methods.newton),

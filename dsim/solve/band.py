@@ -49,6 +49,7 @@ class Band:
             self.order, self.width = order, width
             rows, columns = place[rows], place[columns]
         self._rows, self._columns = rows, columns
+        self._diagonal = np.flatnonzero(rows == columns)  # in the order of the matrix's rows
         self._lower = np.flatnonzero(rows >= columns)
         self._slots = (columns * (self.width + 1) + rows - columns)[self._lower]
 
@@ -56,6 +57,12 @@ class Band:
     def numbers(self) -> int:
         """Entries of the band storage, also the factor's."""
         return self.size * (self.width + 1)
+
+    def raised(self, data: Array, shifts: Array) -> Array:
+        """The CSR data of matrix + diag(shifts); the pattern must hold the diagonal, as a `SumPattern` does."""
+        raised = data.copy()
+        raised[self._diagonal] += shifts
+        return raised
 
     def factorize(self, data: Array) -> BandFactor:
         """The Cholesky factor of the matrix with these CSR data.  Raises NotDefiniteError."""

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
 import numpy as np
 
@@ -15,6 +16,7 @@ if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
 Matrix = Any  # ndarray or csr_array
+F = TypeVar("F")
 
 # Below this size a dense LU beats the sparse one, index work included.
 DENSE_SIZE = 128
@@ -176,24 +178,77 @@ def make_definite(matrix: Matrix) -> Matrix:
 def _raise_diagonal(matrix: csr_array) -> csr_array:
     from scipy.sparse import csr_array, diags_array
 
-    # A row's share is at least a thousandth of its sum: a zero on the diagonal must be raised too, and in the end
-    # the diagonal dominates.
+    def raised(shift: float) -> csr_array:
+        return csr_array(matrix + shift * diags_array(scale))
+
+    scale = _shares(matrix)
+    return raised(_enough(lambda shift: DefiniteFactor(raised(shift)))[1])
+
+
+def _shares(matrix: csr_array) -> Array:
+    """What a shift of 1 adds to each diagonal entry.
+
+    A row's share is at least a thousandth of its sum: a zero on the diagonal must be raised too, and in the end
+    the diagonal dominates.
+    """
     rows = np.asarray(abs(matrix).sum(axis=1))
-    scale = np.maximum(np.abs(matrix.diagonal()), np.maximum(1e-3 * rows, 1e-8 * rows.max() or 1.0))
+    shares: Array = np.maximum(np.abs(matrix.diagonal()), np.maximum(1e-3 * rows, 1e-8 * rows.max() or 1.0))
+    return shares
+
+
+def _enough(factor: Callable[[float], F], first: float = 1e-3) -> tuple[F, float]:
+    """The factor of the first shift from 0, `first`, 8 `first`, ... that makes the matrix definite, and the shift."""
     shift = 0.0
-    while not _has_positive_pivots(csr_array(matrix + shift * diags_array(scale))):
-        shift = max(8.0 * shift, 1e-3)
-    return csr_array(matrix + shift * diags_array(scale))
+    while True:
+        try:
+            return factor(shift), shift
+        except NotDefiniteError:
+            shift = max(8.0 * shift, first)
 
 
-def _has_positive_pivots(matrix: csr_array) -> bool:
-    """Sylvester's law: an LDL^T without row exchanges has as many negative pivots as the matrix eigenvalues."""
-    from scipy.sparse.linalg import splu
+class DefiniteFactor:
+    """LDL^T of a symmetric sparse matrix, by SuperLU without row exchanges.  Raises NotDefiniteError.
 
-    options = {"SymmetricMode": True}
-    try:
-        lu: Any = splu(matrix.tocsc(), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=options)
-    except RuntimeError:
-        return False
-    kept_diagonal = bool((lu.perm_r == lu.perm_c).all())
-    return kept_diagonal and bool((lu.U.diagonal() > 0).all())
+    Sylvester's law: it has as many negative pivots as the matrix has negative eigenvalues.
+    """
+
+    def __init__(self, matrix: csr_array) -> None:
+        from scipy.sparse.linalg import splu
+
+        options = {"SymmetricMode": True}
+        try:
+            lu: Any = splu(matrix.tocsc(), permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=options)
+        except RuntimeError as error:  # exactly singular
+            raise NotDefiniteError(str(error)) from error
+        if not (lu.perm_r == lu.perm_c).all() or not (lu.U.diagonal() > 0).all():
+            raise NotDefiniteError("a pivot is not positive")
+        self._lu = lu
+        self.nbytes = 12 * int(lu.nnz)
+
+    def solve(self, b: Array) -> Array:
+        x: Array = self._lu.solve(b)
+        return x
+
+    solve_transposed = solve
+
+
+def factorize_definite(matrix: Matrix, band: Band | None = None) -> Factor:
+    """The factor of the matrix when it is positive definite, else of a definite one, made as `make_definite` does.
+
+    For descents of many iterations: a sparse matrix is shifted from a tenth of that function's first shift on, and
+    factorized in its band.  Raises SingularMatrixError when the matrix is not finite.
+    """
+    if isinstance(matrix, np.ndarray) or matrix.shape[0] <= DENSE_SIZE:
+        return factorize(make_definite(matrix))
+    if not np.isfinite(matrix.data).all():
+        raise SingularMatrixError("the matrix is not finite")
+    return shifted_factor(matrix, band, _shares(matrix), first=1e-4)[0]
+
+
+def shifted_factor(matrix: csr_array, band: Band | None, shares: Array, first: float) -> tuple[Factor, float]:
+    """The factor of matrix + s diag(shares), and s: the first of 0, `first`, 8 `first`, ... that makes it definite."""
+    from scipy.sparse import csr_array, diags_array
+
+    if band is None:
+        return _enough(lambda s: DefiniteFactor(csr_array(matrix + s * diags_array(shares))), first)
+    return _enough(lambda s: band.factorize(band.raised(matrix.data, s * shares)), first)

@@ -28,6 +28,8 @@ class Status(StrEnum):
     LINE_SEARCH_FAILED = "line_search_failed"
     SINGULAR = "singular"
     NOT_FINITE = "not_finite"
+    UNSTABLE = "unstable"  # of an equilibrium: not a minimum of the energy
+    NO_EQUILIBRIUM = "no_equilibrium"  # the energy falls for ever, or no zero of the force was found
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,6 +2,7 @@
 
 model.py     HardCase, HardCaseResult, and what is drawn: plain data
 springs.py   1-5: stiff, too quick, of no length, compressed; an overshooting Newton
+equilibria.py 6, 7: a fold, and an equilibrium that is not a minimum
 long_time.py 8, 9: energy and momenta over long times
 chaos.py     41: a derivative that is exact and useless
 gradients.py 45: the norm at 0
@@ -10,6 +11,7 @@ A further case is a function that returns a HardCaseResult, and one row of `cata
 """
 
 from dsim.studies.hard_cases.chaos import chaotic_map
+from dsim.studies.hard_cases.equilibria import hinged_strut, von_mises_truss
 from dsim.studies.hard_cases.gradients import norm_at_zero
 from dsim.studies.hard_cases.long_time import free_net, orbit
 from dsim.studies.hard_cases.model import Curve, HardCase, HardCaseResult, Panel, select
@@ -31,9 +33,11 @@ __all__ = [
     "compressed_spring",
     "edge_of_stability",
     "free_net",
+    "hinged_strut",
     "norm_at_zero",
     "orbit",
     "overshooting_newton",
     "select",
     "stiff_spring",
+    "von_mises_truss",
 ]

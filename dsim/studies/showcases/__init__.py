@@ -1,0 +1,1 @@
+"""Showcases: gradients put to work, each with its success measured."""
