@@ -108,6 +108,7 @@ def test_peers_that_are_not_installed_are_skipped_with_a_reason(
     monkeypatch.setattr("dsim.studies.peers.Peer.installed", False)
     code, out = run("--peers", "--peers-in", str(tmp_path))
     assert code == 2 and all(f"{peer.name}: skipped, the package {peer.package}" in out for peer in PEERS)
+    assert 'pip install -e ".[peers]"' in out
 
 
 def test_every_peer_has_its_program() -> None:

@@ -136,6 +136,8 @@ def verdict_lines(audited: Sequence[Audited]) -> str:
             near = each.agreement
             lines.append(f"  {'as dsim':10s} states to {near.state:.0e}, gradient to {near.gradient:.0e}, "
                          f"must be {near.allowed:.0e}")  # fmt: skip
+    if any(each.skipped for each in audited):
+        lines.append('python -m pip install -e ".[peers]" installs what is skipped.')
     return "\n".join(lines)
 
 
