@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Annotated
 
@@ -49,7 +50,8 @@ def verify(
     jobs = report.select(sections.jobs(full), only or ())
     command = " ".join(["dsim verify", *["--full"] * full, *(f"--only {key}" for key in only or ())])
     try:
-        status = report.run(jobs, to, quiet=quiet, limit=None if full else report.LIMIT, command=command)
+        limit = None if full else report.LIMIT
+        status = report.run(jobs, to, quiet=quiet, limit=limit, command=command, workers=min(2, os.cpu_count() or 1))
     except KeyboardInterrupt:
         typer.secho("dsim: interrupted; the report of the previous run, if any, is unchanged", err=True, fg="red")
         status = 2
