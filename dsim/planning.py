@@ -118,7 +118,11 @@ class Plan:
             yield Line("off", "tape", "no gradient asked for (want=('gradient',))")
         if isinstance(self.system, System):
             pins = len(self.system.fixed)
-            yield Line("on" if pins else "off", "pins", f"{pins} points" if pins else "no point is fixed (fixed=...)")
+            yield Line(
+                "on" if pins else "off",
+                "pins",
+                f"{pins} point{'s' * (pins > 1)}" if pins else "no point is fixed (fixed=...)",
+            )
             yield Line("off", "contact, friction", "the system has no colliders")
             yield Line("off", "gyroscopic torque", "points have no inertia")
 

@@ -82,3 +82,9 @@ def test_ci_script_is_runnable() -> None:
     if bash is None:
         pytest.skip("no bash on the path")
     assert subprocess.run([bash, "-n", str(script)], capture_output=True, text=True).stderr == ""
+
+
+def test_the_command_runs_as_a_module() -> None:
+    """For a Python whose scripts are not on the path; bad usage keeps its exit code."""
+    done = subprocess.run([sys.executable, "-m", "dsim", "check"], capture_output=True, text=True)
+    assert done.returncode == 2 and "give either FILE.py:FUNCTION or --exec PROGRAM" in done.stderr

@@ -181,7 +181,10 @@ REFUSED = {
         "field.potential must return shape (1,); got (1, 2)",
     ),
     # actuation
-    "actuation shape": (lambda: Actuation([[1.0]], 0.1), "forces must have shape (any, any, any); got (1, 1)"),
+    "actuation shape": (
+        lambda: Actuation([[1.0]], 0.1),
+        "forces must have shape (steps, points, dimension); got (1, 1)",
+    ),
     "actuation points": (
         lambda: System([1.0], Actuation(np.zeros((2, 2, 3)), 0.1)),
         "forces must have shape (any, 1, 3); got (2, 2, 3)",
@@ -309,6 +312,8 @@ def test_an_unknown_gradient_is_named():
     gradient = adjoint(march(), np.zeros((3, 8)))
     with pytest.raises(KeyError, match=r"no parameter is called 'nope'; this system has mass, springs\.rest_length"):
         gradient["nope"]
+    with pytest.raises(KeyError, match=r"by the start it is \.y0"):
+        gradient["velocities"]
 
 
 # What looks bad and is allowed

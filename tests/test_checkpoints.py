@@ -173,6 +173,7 @@ def test_the_plan_is_met(stepper: Any) -> None:
 def test_the_plan_is_printed_with_what_was_taken() -> None:
     result = CliRunner().invoke(app, ["plan", "projectile", "--snapshots", "3"])
     assert result.exit_code == 0
+    assert "3 snapshots and 2 states at hand, 32 bytes each" in result.stdout
     assert " predicted: 160 bytes of states, " in result.stdout and " actual:    160 bytes, 90 + " in result.stdout
     advances = Checkpoints(3).advances(90)
     assert f"{advances} steps taken, none more than" in result.stdout and f"= {advances} steps" in result.stdout

@@ -24,6 +24,14 @@ def simulator():
 
 def nothing():
     return 3
+
+def failing():
+    return Simulator("failing", np.ones(2), lambda x, steps, h: x, lambda x, steps, h, w: w // {}, 0.1, 5)
+
+def talking():
+    found = simulator()
+    say = lambda *x: print("a step") or found.simulate(*x)
+    return Simulator("talking", found.x, say, found.gradient, 0.1, 5)
 '''
 CLOTH = '''
 import numpy as np
@@ -100,6 +108,7 @@ def test_peers_that_are_not_installed_are_skipped_with_a_reason(
     monkeypatch.setattr("dsim.studies.peers.Peer.installed", False)
     code, out = run("--peers", "--peers-in", str(tmp_path))
     assert code == 2 and all(f"{peer.name}: skipped, the package {peer.package}" in out for peer in PEERS)
+    assert 'pip install -e ".[peers]"' in out
 
 
 def test_every_peer_has_its_program() -> None:
@@ -129,3 +138,19 @@ def test_bad_usage(
 def test_a_function_that_makes_no_simulator(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="must return a Simulator"):
         auditing.given(f"{mine(tmp_path, 1.0)}:nothing", {})
+
+
+def test_an_error_inside_the_users_callables_is_one_line_with_its_place(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Not a traceback with exit code 1, which would say that a verdict is bad."""
+    monkeypatch.setattr("sys.argv", ["dsim", "audit", "-q", f"{mine(tmp_path, 1.0)}:failing"])
+    with pytest.raises(SystemExit) as exit:
+        main()
+    told = capsys.readouterr().err
+    assert exit.value.code == 2 and "gradient raised TypeError" in told and "of mine.py)" in told
+
+
+def test_what_a_program_prints_does_not_mix_with_the_json(tmp_path: Path) -> None:
+    code, out = run(f"{mine(tmp_path, 1.0)}:talking", "--json")
+    assert code == 0 and json.loads(out)["name"] == "talking"

@@ -9,7 +9,7 @@ import pytest
 import scipy.optimize
 from scipy.sparse import eye_array
 
-from dsim import ReducedObjective, Residuals, Variables, scenes, simulate
+from dsim import Checkpoints, ReducedObjective, Residuals, Variables, scenes, simulate
 from dsim.arrays.checks import Array
 from dsim.effects import Drag, Gravity, Springs
 from dsim.gradients import optimise
@@ -215,6 +215,28 @@ def test_an_optimisation_is_recorded(kind: str) -> None:
     np.testing.assert_array_equal(found.values, [line[1] for line in seen])
     assert found.best[-1] == found.values.min() and (np.diff(found.best) <= 0).all()
     assert np.isfinite(found.slopes[0]) and found.slopes[0] > found.slopes[-1]
+
+
+def test_an_optimisation_prints_as_one_line() -> None:
+    found = optimise(lambda p: (float(p @ p) / 2, p), np.ones(2000))
+    assert str(found).startswith("objective 1e+03 -> ") and len(str(found)) < 120
+
+
+def test_a_fit_without_its_gradient_is_told() -> None:
+    with pytest.raises(ValueError, match=r"fit must return the tuple \(value, gradient\); got"):
+        optimise(lambda p: p @ p, [1.0, 2.0])
+
+
+def test_the_derivative_by_the_states_may_be_a_callable() -> None:
+    """As `adjoint` takes it: with checkpoints the states are seen on the way back only."""
+    variables = Variables(*net(), ["springs.stiffness"])
+    whole = ReducedObjective(run, variables, lambda path: (0.0, path.y))
+    sparing = ReducedObjective(
+        lambda system, y0: simulate(BackwardEuler(), system, y0, H, STEPS, keep=Checkpoints(2)),
+        variables,
+        lambda path: (0.0, lambda n, y: y),
+    )
+    np.testing.assert_array_equal(sparing(variables.start)[1], whole(variables.start)[1])
 
 
 def test_optimise_needs_numbers() -> None:

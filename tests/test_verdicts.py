@@ -133,6 +133,15 @@ def test_a_gradient_of_another_physics_is_astray() -> None:
     assert judge_physics(off).verdict == "astray"
 
 
+def test_the_picture_shows_an_error_that_stays_as_level() -> None:
+    """On an axis of the data's own range a fall by 1 % looks like convergence; a wrong block names its first step."""
+    off = audit(program(decay, lambda x, n, h: 0.9 * (1 - h) ** n))
+    blocks, errors, _ = picture([off]).axes
+    low, high = errors.get_ylim()
+    assert off.physics.verdict == "astray" and high / low > 8
+    assert [text.get_text() for text in blocks.texts] == ["wrong from step 1"]
+
+
 def bounce(x: float, steps: int, h: float) -> tuple[float, float]:
     """A ball at x with v = -1 m/s against a wall at 0, elastic, without a time of impact: (x_T, dx_T/dx_0)."""
     v = -1.0

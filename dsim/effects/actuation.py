@@ -34,7 +34,10 @@ class Actuation:
     row: int | None = None  # set by at: the step's row
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "forces", as_array("forces", self.forces, (None, None, None)))
+        forces = as_array("forces", self.forces)
+        if forces.ndim != 3:
+            raise ValueError(f"forces must have shape (steps, points, dimension); got {forces.shape}")
+        object.__setattr__(self, "forces", forces)
         object.__setattr__(self, "h", as_step(self.h))
 
     def bind(self, mass: Array, dimension: int) -> Actuation:

@@ -23,7 +23,8 @@ class Gradient:
 
     def __getitem__(self, name: str) -> Array:
         if name not in self.parts:
-            raise KeyError(f"no parameter is called {name!r}; this system has {', '.join(self.parts)}")
+            known = ", ".join(self.parts)
+            raise KeyError(f"no parameter is called {name!r}; this system has {known}; by the start it is .y0")
         return self.parts[name]
 
 

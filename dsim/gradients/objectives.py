@@ -122,7 +122,9 @@ class ReducedObjective:
 
     run: (system, y0) -> trajectory, for instance a `simulate` with its stepper, h and steps.
     objective: trajectory -> (O, dO/dy) with dO/dy (N+1,ny), or (ny,) for one of the last state; with a third entry
-    dO/dtheta, (P,) or named parts, where O depends on the parameters itself.
+    dO/dtheta, (P,) or named parts, where O depends on the parameters itself.  Where `run` keeps `Checkpoints`, O is of
+    the last state (`trajectory.last`); a running cost's dO/dy may be a callable (n, y_n) -> (ny,), as for `adjoint`,
+    but its value needs all states.
     second: for `hessp`, what the objective itself bends: (trajectory, dy (N+1,ny), dtheta (P,)) -> the change of dO/dy,
     or a pair with the change of dO/dtheta, as d2J of `hessian_product`.
     Raises ValueError where O is not finite or a derivative has another shape, SimulationError where a run fails.

@@ -30,6 +30,11 @@ class Optimisation:
     message: str
     result: Any
 
+    def __str__(self) -> str:
+        """The objective at the start and at the end, and how the search ended: p may have thousands of numbers."""
+        ending = self.message.strip().capitalize().rstrip(" .:")
+        return f"objective {self.values[0]:.3g} -> {self.value:.3g} in {self.evaluations} evaluations. {ending}."
+
     @property
     def evaluations(self) -> int:
         return len(self.values)
@@ -55,7 +60,10 @@ class _Recorded:
             self.report(len(self.values), value, slope)
 
     def value_and_gradient(self, p: Array) -> tuple[float, Array]:
-        value, gradient = self.fit(p)
+        answer = self.fit(p)
+        if not (isinstance(answer, tuple | list) and len(answer) == 2):
+            raise ValueError(f"fit must return the tuple (value, gradient); got {answer!r:.60}")
+        value, gradient = answer
         self.note(float(value), float(np.abs(gradient).max()))
         return value, gradient
 

@@ -33,10 +33,10 @@ def verdicts(reports: Sequence[AuditReport]) -> Figure:
     steps = sorted({h for report in reports for h in report.physics.h})
     middle.set_xticks(steps, [f"{h:.2g}" for h in steps])
     middle.xaxis.set_minor_locator(NullLocator())
-    low, high = right.get_ylim()
-    right.set_ylim(low / 3, high * 3)  # a growth by half is none
     for axes in (middle, right):
         if axes.has_data():
+            low, high = axes.get_ylim()
+            axes.set_ylim(low / 3, high * 3)  # a growth by half is none, an error that falls by 1 % has not fallen
             axes.legend(fontsize=8.5)
     return figure
 
@@ -49,10 +49,11 @@ def _digits(axes: Axes, reports: Sequence[AuditReport]) -> None:
         at = places + (number - (len(reports) - 1) / 2) * width
         digits = [found[name].digits if name in found else 0.0 for name in blocks]
         axes.barh(at, digits, 0.9 * width, color=COLOURS[number % len(COLOURS)], label=report.name)
-        bad = [(p, found[n].verdict) for p, n in zip(at, blocks, strict=True) if n in found and not found[n].digits]
-        for place, word in bad:
+        bad = [(p, found[n]) for p, n in zip(at, blocks, strict=True) if n in found and not found[n].digits]
+        for place, block in bad:
+            since = f" from step {block.first_bad_step}" if block.first_bad_step else ""
             axes.plot(0.15, place, "x", color="#000000", clip_on=False)
-            axes.text(0.4, place, word, va="center", fontsize=9)
+            axes.text(0.5, place, block.verdict + since, va="center", fontsize=9)
     axes.set_yticks(places, blocks)
     axes.invert_yaxis()
     axes.set_xlim(0, 16)

@@ -52,12 +52,14 @@ def control(result: Control, frames: int = 6) -> Figure:
             draw_frame(axes, one, int(n))
             axes.set(xticks=[], yticks=[])
             axes.spines[:].set_visible(False)
-            axes.plot(*circle.T, color=TARGET, linestyle="-", linewidth=4.0, alpha=0.55, zorder=1)
-            axes.plot(*run[: n + 1].T, color=FOUND, linestyle="-", linewidth=1.4, zorder=6)
-            axes.plot(*circle[n], color=TARGET, marker="o", markersize=7, markeredgecolor=INK, zorder=7)
+            axes.plot(*circle.T, color=TARGET, linestyle="-", linewidth=4.0, alpha=0.55, zorder=1, label="the circle")
+            axes.plot(*run[: n + 1].T, color=FOUND, linestyle="-", linewidth=1.4, zorder=6, label="where the tip ran")
+            axes.plot(*circle[n], color=TARGET, marker="o", markersize=7, markeredgecolor=INK, zorder=7,
+                      linestyle="none", label="where it should be now")  # fmt: skip
         dress(row[0], one)
         row[0].set_ylabel(f"{words}:\nmiss {_length(miss)} RMS", fontsize=10)
     dress_figure(figure, list(panels.flat), films[1])
+    figure.legend(*panels[1, -1].get_legend_handles_labels(), loc="lower center", ncols=3, fontsize=9)
     return figure
 
 
@@ -147,7 +149,7 @@ def _errors(axes: Axes, result: Identification) -> None:
         axes.errorbar(place[kind], error[there], bars[there], **look(index) | looks, label=words)
     axes.axhline(0.0, color=INK, linewidth=1.0, linestyle="-")
     share = 100 * float(result.coverage.hits[:, ~result.film.hidden].mean())
-    title = f"one film; over {result.coverage.draws} films {share:.1f} % of the bars reach"
+    title = f"one film; over {result.coverage.draws} films {share:.1f} % of the bars reach the truth"
     label(axes, "springs, by the length of their bars", "error of the stiffness (%)", title)
     axes.legend(loc="upper left", fontsize=9)
 

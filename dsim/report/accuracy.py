@@ -145,7 +145,9 @@ def tables(study: Study) -> tuple[Table, Table]:
         rows.append((method, order, *(f"{e:.0e}" for e in best), _known(finest.drift, ".0e"), cost, failures))
     unit = "s" if study.unit == "seconds" else "forces"
     columns = ("method", "order", "state", "gradient", "drift", unit, "failed")
-    band = f"; A/A control {study.band[0]:.2f} to {study.band[1]:.2f}" if study.unit == "seconds" else ""
+    band = (
+        f"; a run timed against itself: {study.band[0]:.2f} to {study.band[1]:.2f}" if study.unit == "seconds" else ""
+    )
     words = f"smallest errors; drift and cost at the finest setting; (order): R^2 < {ASYMPTOTIC}, no power law yet"
     first = Table(columns, tuple(rows), f"{study.problem}: {words}{band}")
     answers = []

@@ -7,7 +7,7 @@ import json
 import textwrap
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, redirect_stdout
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from sys import stderr
 from typing import Any
@@ -17,7 +17,7 @@ from rich.table import Table as RichTable
 
 from dsim.report.model import Cell, Table
 from dsim.report.terminal import console
-from dsim.studies.foreign import load_function
+from dsim.studies.foreign import load_function, told
 from dsim.studies.peers import (
     PEERS,
     Agreement,
@@ -61,12 +61,16 @@ class Audited:
 def given(text: str, problem: Problem) -> Simulator:
     """FILE.py:FUNCTION.  A function of the cloth's arrays makes a program of them; one of nothing makes a Simulator."""
     function = load_function(text)
-    if inspect.signature(function).parameters:
-        return of_program(text, function, problem)
-    simulator = function()
+    cloth = bool(inspect.signature(function).parameters)
+    simulator = of_program(text, function, problem) if cloth else function()
     if not isinstance(simulator, Simulator):
         raise ValueError(f"{text} must return a Simulator (dsim.studies.verdicts); got {simulator!r:.60}")
-    return simulator
+    path = Path(text.rpartition(":")[0]).resolve()  # its callables are the user's too: one line and no print among JSON
+    return replace(
+        simulator,
+        simulate=told(simulator.simulate, "forward" if cloth else "simulate", path),
+        gradient=told(simulator.gradient, "gradient", path),
+    )
 
 
 def one(text: str, say: Say) -> Audited:
@@ -132,6 +136,8 @@ def verdict_lines(audited: Sequence[Audited]) -> str:
             near = each.agreement
             lines.append(f"  {'as dsim':10s} states to {near.state:.0e}, gradient to {near.gradient:.0e}, "
                          f"must be {near.allowed:.0e}")  # fmt: skip
+    if any(each.skipped for each in audited):
+        lines.append('python -m pip install -e ".[peers]" installs what is skipped.')
     return "\n".join(lines)
 
 

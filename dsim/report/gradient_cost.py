@@ -70,7 +70,9 @@ def cost_tables(study: cost.CostStudy) -> tuple[Table, Table]:
     for k in counts:
         costs.append((k, *(_words(*study.cost(method, k)) for method in study.methods)))
         errors.append((k, *(f"{cells[method, k]:.0e}" for method in study.methods)))
-    band = f"; A/A control {study.band[0]:.2f} to {study.band[1]:.2f}" if study.unit == "seconds" else ""
+    band = (
+        f"; a run timed against itself: {study.band[0]:.2f} to {study.band[1]:.2f}" if study.unit == "seconds" else ""
+    )
     unit = "Seconds" if study.unit == "seconds" else "Passes"
     where = f"{study.springs} springs, {study.steps} steps"
     return (

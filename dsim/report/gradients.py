@@ -127,7 +127,7 @@ def checkpoints(progress: Progress, full: bool) -> Part:
         rows.append((snapshots, ahead.advances(48), took, ahead.most(48)))
     alt = "A staircase: steps run forward, are pulled back, and stretches between kept states are run again."
     caption = "Binomial checkpoints: with 10 states, 1001 steps take 3641 and none is taken more than 4 times."
-    picture = Picture(to_svg(draw_checkpoints()), alt, caption, "dsim plan chain --snapshots 10")
+    picture = Picture(to_svg(draw_checkpoints()), alt, caption, "dsim verify --only gradients")
     columns = ("states kept", "steps foretold", "steps taken", "at most, a step")
     table = Table(columns, tuple(rows), "48 steps and their gradient with few states kept")
     return Part(checks, (table,), (picture,))
@@ -156,7 +156,7 @@ def verdicts(progress: Progress, full: bool) -> Part:
                for bug, verdict in bugs]  # fmt: skip
     alt = "Bars: digits of every block. Lines: gradient error over h; growth over time, doubling each step in chaos."
     caption = "Three verdicts. A map that doubles errors every step has no digit left after 50."
-    picture = Picture(to_svg(draw_verdicts([*reports[:1], *reports[2:]])), alt, caption, "dsim audit --plot FILE")
+    picture = Picture(to_svg(draw_verdicts([*reports[:1], *reports[2:]])), alt, caption, "dsim verify --only gradients")
     tables = (auditing.verdict_table([auditing.Audited(r.name, r) for r in reports]), auditing.bug_table(bugs))
     return Part(checks, tables, (picture,))
 

@@ -46,9 +46,7 @@ def run(row: Showcase, to: Path | None, full: bool, quiet: bool = False) -> int:
     out = terminal.console()
     out.print(terminal.section_table(Section("", checks, title=f"{row.name}: {row.statement}", seconds=seconds)))
     found = result.optimisation
-    ending = found.message.strip().capitalize().rstrip(" .:")
-    words = f"objective {found.values[0]:.3g} -> {found.value:.3g}"
-    out.print(f"{words} in {found.evaluations} evaluations. {ending}.", markup=False)
+    out.print(str(found), markup=False)
     if to is not None:
         save(row.draw(result), to / f"{row.name}.png")
         save(convergence(found, row.name), to / f"{row.name}_convergence.svg")

@@ -158,6 +158,7 @@ def _print_recomputation(made: Plan, trajectory: Trajectory, few: Checkpoints) -
     with waiting(console(stderr=True), "the way back"):
         again = adjoint(trajectory, np.ones(made.system.size)).recomputed
     out = console()
-    out.print(f"gradient of {steps} steps, {few.snapshots} snapshots", markup=False)
+    size = f"{8 * made.stepper.history * made.system.size} bytes each"  # a two-step method's state is two
+    out.print(f"gradient of {steps} steps, {few.snapshots} snapshots and 2 states at hand, {size}", markup=False)
     out.print(f" predicted: {made.recomputation(steps, few)}", markup=False, soft_wrap=True)
     out.print(f" actual:    {trajectory.tape_bytes} bytes, {steps} + {again} = {steps + again} steps", markup=False)

@@ -71,16 +71,28 @@ def load_function(text: str) -> Callable[..., Any]:
         known = [n for n, v in vars(module).items() if callable(v) and not n.startswith("_")]
         raise ValueError(f"{file} has no function {name!r}; it has {', '.join(known) or 'none'}")
 
+    told_function = told(function, name, path)
+
+    @wraps(function)
+    def called(*x: Any) -> Any:
+        answer = told_function(*x)
+        if isinstance(answer, list):
+            raise ValueError(f"{name} must return the tuple (value, gradient); got a list")
+        return answer
+
+    return called
+
+
+def told(function: Callable[..., Any], name: str, path: Path) -> Callable[..., Any]:
+    """function, with an error inside it told as one line with its place in the file, and its prints sent to stderr."""
+
     @wraps(function)
     def called(*x: Any) -> Any:
         try:
             with redirect_stdout(sys.stderr):  # what it prints must not mix with the verdict
-                answer = function(*x)
+                return function(*x)
         except (Exception, SystemExit) as error:
             raise ValueError(f"{name} raised {_told(error, path)}") from error
-        if isinstance(answer, list):
-            raise ValueError(f"{name} must return the tuple (value, gradient); got a list")
-        return answer
 
     return called
 

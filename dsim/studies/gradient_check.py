@@ -25,7 +25,8 @@ _TRUST = 10.0  # an error estimate may be off by this factor
 _DETECTABLE = 1e-4  # a derivative known worse than this, because of noise, supports no verdict
 
 ADVICE = {
-    "smooth": "The gradient is the derivative of this function.  Next: does it converge to the physics' as h -> 0?",
+    "smooth": "The gradient is the derivative of this function.  Of a simulation, ask next whether it converges to the "
+    "physics' as h -> 0: `dsim audit`.",
     "wrong": "Look at the worst entry first: a missing term, a sign, a factor 2, a stale state, a projected hessian.",
     "kink": "Both one-sided derivatives exist and differ: move x off the kink, smooth it, or accept a subgradient.",
     "jump": "The function itself jumps at x: no gradient describes it.  Resolve the event, or smooth it.",
