@@ -196,11 +196,12 @@ def run_planted(bugs: Iterable[PlantedBug], quiet: bool = False) -> int:
 
 @contextmanager
 def _saying(quiet: bool) -> Iterator[Say]:
-    """A spinner on stderr with what is being judged."""
-    if quiet:
-        yield lambda text: None
+    """A spinner on stderr with what is being judged; a plain line each in a log."""
+    err = console(stderr=True)
+    if quiet or not err.is_terminal:
+        yield lambda text: None if quiet else err.print(text, markup=False)
         return
-    with console(stderr=True).status("") as status:
+    with err.status("") as status:
         yield lambda text: status.update(escape(text))
 
 
