@@ -37,7 +37,7 @@ class Optimisation:
     @property
     def best(self) -> Array:
         """The least value up to every evaluation, (M,)."""
-        return np.minimum.accumulate(self.values)
+        return np.fmin.accumulate(self.values)
 
 
 class _Recorded:
@@ -56,6 +56,8 @@ class _Recorded:
 
     def value_and_gradient(self, p: Array) -> tuple[float, Array]:
         value, gradient = self.fit(p)
+        if np.isnan(value) or np.isnan(gradient).any():  # inf may pass: line searches turn back from there
+            raise ValueError(f"fit must return numbers, value and gradient; NaN in evaluation {len(self.values) + 1}")
         self.note(float(value), float(np.abs(gradient).max()))
         return value, gradient
 
