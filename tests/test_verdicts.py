@@ -99,6 +99,19 @@ def test_a_bug_in_one_entry_of_many_is_seen() -> None:
     assert judge_program(many).verdict == "wrong"
 
 
+def test_a_bug_in_faint_entries_is_seen() -> None:
+    """Every tenth entry counts a ten-millionth of its neighbours, and has the wrong sign; right, it changes nothing."""
+
+    def faint(sign: float) -> Simulator:
+        x, a = np.linspace(1, 2, 400), np.tile([*9 * [1.0], 1e-7], 40)
+        return Simulator("faint", x, lambda x, steps, h: np.array([a @ np.sin(x)]),
+                         lambda x, steps, h, w: w[0] * a * np.cos(x) * np.tile([*9 * [1.0], sign], 40), 0.1, 1)  # fmt: skip
+
+    assert judge_program(faint(1.0)).verdict == "right"
+    found = judge_program(faint(-1.0))
+    assert found.verdict == "wrong" and found.blocks[0].where == "random sum of faint entries"
+
+
 def test_single_precision_is_judged_by_its_own_measure() -> None:
     single = Simulator(
         "single",
