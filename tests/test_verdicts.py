@@ -103,9 +103,10 @@ def test_a_bug_in_faint_entries_is_seen() -> None:
     """Every tenth entry counts a ten-millionth of its neighbours, and has the wrong sign; right, it changes nothing."""
 
     def faint(sign: float) -> Simulator:
-        x, a = np.linspace(1, 2, 400), np.tile([*9 * [1.0], 1e-7], 40)
+        x, a, signs = np.linspace(1, 2, 400), np.ones(400), np.ones(400)
+        a[9::10], signs[9::10] = 1e-7, sign
         return Simulator("faint", x, lambda x, steps, h: np.array([a @ np.sin(x)]),
-                         lambda x, steps, h, w: w[0] * a * np.cos(x) * np.tile([*9 * [1.0], sign], 40), 0.1, 1)  # fmt: skip
+                         lambda x, steps, h, w: w[0] * signs * a * np.cos(x), 0.1, 1)  # fmt: skip
 
     assert judge_program(faint(1.0)).verdict == "right"
     found = judge_program(faint(-1.0))
