@@ -29,6 +29,8 @@ from dsim.steppers import (
     VelocityVerlet,
 )
 from dsim.studies import hard_cases, planted, problems
+from dsim.studies.answers import formulas, motions, programs
+from dsim.studies.answers.document import Item
 from dsim.studies.convergence import OrderProblem, leaf_in_river, pendulum_in_wind
 from dsim.studies.derivatives import EffectExample
 from dsim.studies.hard_cases import HardCase
@@ -240,3 +242,5 @@ HARD_CASES: tuple[HardCase, ...] = (
 )
 
 PLANTED: tuple[planted.PlantedBug, ...] = planted.bugs()
+
+ANSWERS: tuple[Item, ...] = (*programs.items(STEPPERS), *motions.items(PROBLEMS), *formulas.items())

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
-HEAVY = ("scipy", "matplotlib", "PIL", "rich", "typer", "jinja2", "hypothesis", "jax", "IPython")
+HEAVY = ("scipy", "matplotlib", "PIL", "rich", "typer", "jinja2", "hypothesis", "jax", "torch", "IPython")
 LINT = "import sys; from importlinter.cli import lint_imports_command; sys.exit(lint_imports_command())"
 
 
@@ -48,6 +48,7 @@ MUTATIONS = {
     "matplotlib below pictures": ("arrays/checks.py", "import matplotlib\n"),
     "matplotlib in the report": ("report/html.py", "from matplotlib.figure import Figure\n"),
     "rich below the top": ("arrays/checks.py", "from rich.table import Table\n"),
+    "PyTorch outside its layer": ("gradients/adjoint.py", "def f():\n    import torch\n"),
     "hypothesis in the library": ("arrays/checks.py", "import hypothesis\n"),
 }
 

@@ -62,6 +62,14 @@ def test_a_throw_is_aimed(capsys):
     assert names["found"].converged and names["found"].value < 1e-8 and capsys.readouterr().out
 
 
+def test_a_network_learns_to_throw(capsys):
+    pytest.importorskip("torch", reason="torch is not installed: pip install -e '.[layers]'")
+    names: dict = {"__name__": "readme"}
+    exec(next(block for block in BLOCKS if "torch_layer" in block), names)
+    off = names["miss"](names["targets"][12:]).detach()
+    assert names["before"] > 2 and off.mean() < 0.1 and off.max() < 0.3 and " m after" in capsys.readouterr().out
+
+
 def test_the_quoted_stepper_is_the_real_one():
     source = (README.parent / "dsim/steppers/euler.py").read_text()
     assert BLOCKS[1].splitlines()[-1].strip() == "return y[0] + h * phi(t + h, y[1])"

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import io
+import os
 import pickle
 import re
 import sys
 from functools import partial
 from html.parser import HTMLParser
+from multiprocessing import active_children
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -305,3 +308,56 @@ def test_axes_need_names() -> None:
     _, axes = style.canvas()
     with pytest.raises(ValueError, match="the y axis must have a label"):
         style.label(axes, "time (s)", "")
+
+
+# Several processes
+
+
+def dies(progress: Progress) -> Section:
+    os._exit(3)
+
+
+def whose(progress: Progress, parent: int) -> Section:
+    progress("working")
+    elsewhere = os.getpid() != parent
+    threads = os.environ.get("OPENBLAS_NUM_THREADS")
+    return section(Check(str(threads), "in another process", elsewhere, float(elsewhere), "= 1"))
+
+
+def test_sections_are_shared_and_those_that_measure_seconds_are_not(tmp_path: Path, capsys: Any) -> None:
+    """The page keeps its order; what measures seconds runs in this process, when the others are done."""
+    shared, own = partial(whose, parent=os.getpid()), partial(whose, parent=0)
+    jobs = [
+        SectionJob("clock", "Clock", own, alone=True),
+        SectionJob("one", "One", shared),
+        SectionJob("crash", "Crash", crash),
+        SectionJob("two", "Two", shared),
+    ]
+    assert verify.run(jobs, tmp_path, workers=2) == 1
+    out = capsys.readouterr().out
+    assert [out.index(title) for title in ("One", "Crash", "Two", "Clock")] == sorted(
+        out.index(title) for title in ("One", "Crash", "Two", "Clock")
+    )
+    page = (tmp_path / "index.html").read_text()
+    places = [page.index(f'id="{key}"') for key in ("clock", "one", "crash", "two")]
+    assert places == sorted(places) and "ZeroDivisionError" in page
+    assert "3 passed, 1 failed" in out
+    assert "OPENBLAS_NUM_THREADS" in os.environ and not active_children()  # set by the tests' own configuration
+
+
+def test_a_process_that_dies_is_red_and_ends_nothing_else(tmp_path: Path, capsys: Any) -> None:
+    jobs = [SectionJob("dies", "Dies", dies), SectionJob("clock", "Clock", partial(of_checks, checks=(GREEN,)), True)]
+    assert verify.run(jobs, tmp_path, workers=2) == 1
+    assert (
+        "BrokenProcessPool" in (tmp_path / "index.html").read_text() and "1 passed, 1 failed" in capsys.readouterr().out
+    )
+
+
+def test_an_interruption_ends_the_processes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupted(*arguments: Any) -> Section:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(verify, "_result", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        verify.run([SectionJob("one", "One", partial(of_checks, checks=(GREEN,)))], tmp_path, workers=2)
+    assert not active_children() and not list(tmp_path.iterdir())

@@ -73,11 +73,15 @@ class Section:
 
 @dataclass(frozen=True)
 class SectionJob:
-    """A section still to be built.  `build` is a module-level function, or a partial of one: it pickles."""
+    """A section still to be built.  `build` is a module-level function, or a partial of one: it pickles.
+
+    alone: it measures seconds, so nothing else may run beside it.
+    """
 
     key: str
     title: str
     build: Callable[[Progress], Section]
+    alone: bool = False
 
     @property
     def command(self) -> str:

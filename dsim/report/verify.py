@@ -2,14 +2,23 @@
 
 from __future__ import annotations
 
+import os
 import platform
+import signal
 import time
 import traceback
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
 from dataclasses import replace
 from importlib.metadata import PackageNotFoundError, version
+from itertools import chain
 from math import nan
+from multiprocessing import active_children, get_context
 from pathlib import Path
+
+from rich.console import Console
 
 from dsim.report import html, terminal
 from dsim.report.model import Page, Progress, Section, SectionJob
@@ -26,9 +35,11 @@ def run(
     quiet: bool = False,
     limit: float | None = None,
     command: str = "dsim verify",
+    workers: int = 1,
 ) -> int:
-    """Build the sections in order, write `directory/index.html`, return the exit status.
+    """Build the sections, write `directory/index.html`, return the exit status.
 
+    workers: processes that share the sections which measure no seconds; those that do follow, alone.
     0: every check passed.  1: a check is red, or a section raised.  2: nothing was checked.
     An interruption leaves the page of the previous run as it was.
     """
@@ -36,17 +47,74 @@ def run(
     directory = html.check_directory(directory)
     out, err = terminal.console(), None if quiet else terminal.console(stderr=True)
     start = time.perf_counter()
-    sections = []
-    for index, job in enumerate(jobs, start=1):
-        with terminal.announce(job, f"{index}/{len(jobs)}", err) as progress:
-            sections.append(build(job, progress))
+    built: dict[str, Section] = {}
+    shared = [job for job in jobs if not job.alone] if workers > 1 else []
+    for section in chain(_shared(shared, workers, err), _in_turn([job for job in jobs if job not in shared], err)):
+        built[section.key] = section
         if not quiet:
-            terminal.print_section(sections[-1], out)
+            terminal.print_section(section, out)
     seconds = time.perf_counter() - start
-    page = Page("dsim verify", tuple(sections), environment(), seconds, limit, command)
+    sections = tuple(built[job.key] for job in jobs)
+    page = Page("dsim verify", sections, environment(), seconds, limit, command)
     path = html.write(page, directory)
     out.print(terminal.summary(page, str(path)), soft_wrap=True, markup=False)
     return page.status
+
+
+def _in_turn(jobs: Sequence[SectionJob], err: Console | None) -> Iterator[Section]:
+    """One after the other, in this process."""
+    for index, job in enumerate(jobs, start=1):
+        with terminal.announce(job, f"{index}/{len(jobs)}", err) as progress:
+            yield build(job, progress)
+
+
+def _shared(jobs: Sequence[SectionJob], workers: int, err: Console | None) -> Iterator[Section]:
+    """By several processes of one thread each, in order.  An interruption, or a process that dies, ends them all."""
+    if not jobs:
+        return
+    others = set(active_children())
+    with _environment(OPENBLAS_NUM_THREADS="1", OMP_NUM_THREADS="1", MKL_NUM_THREADS="1"):
+        pool = ProcessPoolExecutor(min(workers, len(jobs)), get_context("spawn"), _deaf)
+        futures = [pool.submit(build, job, _silent) for job in jobs]
+        try:
+            for index, (job, future) in enumerate(zip(jobs, futures, strict=True), start=1):
+                with terminal.announce(job, f"{index}/{len(jobs)}, {workers} at a time", err):
+                    section = _result(job, future)
+                yield section
+        finally:
+            pool.shutdown(wait=False, cancel_futures=True)
+            for process in set(active_children()) - others:
+                process.terminate()
+                process.join()
+
+
+def _result(job: SectionJob, future: Future[Section]) -> Section:
+    try:
+        return future.result()
+    except BrokenProcessPool as error:
+        return replace(broken(error), key=job.key, title=job.title, command=job.command)
+
+
+def _deaf() -> None:
+    """Ctrl-C is the parent's to handle."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+def _silent(text: str) -> None:
+    """Progress of a process that has no terminal."""
+
+
+@contextmanager
+def _environment(**values: str) -> Iterator[None]:
+    """Environment variables for processes to come; those of the user stay as they are."""
+    before = {name: os.environ.get(name) for name in values}
+    os.environ.update({name: value for name, value in values.items() if before[name] is None})
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                os.environ.pop(name, None)
 
 
 def build(job: SectionJob, progress: Progress) -> Section:
