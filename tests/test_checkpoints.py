@@ -278,7 +278,9 @@ def test_a_run_that_fails_midway() -> None:
         adjoint(few, np.ones(4))
     tiny = np.full(4, 1e-250)
     with np.errstate(over="ignore", invalid="ignore"):
-        assert same(adjoint(few.completed, tiny), adjoint(full.completed, tiny))
+        gradient = adjoint(few.completed, tiny)
+        assert same(gradient, adjoint(full.completed, tiny))
+    assert gradient.recomputed == Checkpoints(5).advances(len(few.t) - 1)  # it was planned for another length
 
 
 def test_the_staircase_draws_every_step_as_often_as_it_is_taken() -> None:

@@ -154,3 +154,23 @@ def test_an_error_inside_the_users_callables_is_one_line_with_its_place(
 def test_what_a_program_prints_does_not_mix_with_the_json(tmp_path: Path) -> None:
     code, out = run(f"{mine(tmp_path, 1.0)}:talking", "--json")
     assert code == 0 and json.loads(out)["name"] == "talking"
+
+
+@pytest.mark.parametrize(
+    "answer, message",
+    [
+        ("3", "make must return (forward, gradient), two callables;"),
+        ("(lambda k, v: (v, v, v), lambda k, v: (k, v))", "forward must return the last (q, v)"),
+        ("(lambda k, v: 1 / 0, lambda k, v: (k, v))", "raised ZeroDivisionError: division by zero"),
+    ],
+)
+def test_a_cloth_that_answers_something_else(
+    answer: str, message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One line and exit code 2: a traceback's 1 would read as a bad verdict."""
+    (tmp_path / "mine.py").write_text(f"def make(problem):\n    return {answer}\n")
+    monkeypatch.setattr("sys.argv", ["dsim", "audit", f"{tmp_path}/mine.py:make", "-q"])
+    with pytest.raises(SystemExit) as stop:
+        main()
+    told = capsys.readouterr().err
+    assert stop.value.code == 2 and message in told and "Traceback" not in told

@@ -123,6 +123,8 @@ BAD_VARIABLES: dict[str, tuple[Any, str]] = {
     "fraction": ({"mass": [0.5]}, r"wrt\['mass'\] must be indices"),
     "twice": (["y0", "velocities"], "every number once"),
     "none": ([], "at least one number"),
+    "no name": ([["mass"]], r"wrt must name some of y0, positions, .*; got \['mass'\]"),
+    "a name twice": (["mass", "mass"], "every number once"),
 }
 
 
@@ -137,6 +139,8 @@ BAD_ANSWERS: dict[str, tuple[Any, str]] = {
     "a number alone": (lambda t: 1.0, r"objective must return \(value, dOdy\)"),
     "NaN": (lambda t: (np.nan, t.y), "objective must return a finite number; got nan"),
     "an array": (lambda t: (t.last, t.y), "objective must return a finite number"),
+    "text": (lambda t: ("a", t.y), "objective must return a finite number; got 'a'"),
+    "complex": (lambda t: (1j, t.y), "objective must return a finite number"),
     "NaN gradient": (lambda t: (1.0, np.full(16, np.nan)), "dJdy must be finite"),
     "shape": (lambda t: (1.0, t.y[1:]), r"dJdy must have shape \(7, 16\)"),
     "explicit": (lambda t: (1.0, t.y, {"stiffness": 1.0}), "dJdtheta must name"),
@@ -151,11 +155,14 @@ def test_bad_objectives(case: str) -> None:
         ReducedObjective(run, variables, objective)(variables.start)
 
 
+EXPLICIT = net()[0].parameter_count
 BAD_RESIDUALS: dict[str, tuple[Any, str]] = {
     "alone": (lambda t: t.last, "residual must return"),
     "NaN": (lambda t: ([np.nan], np.zeros((1, t.y.size))), "residual's r must be finite"),
     "shape": (lambda t: (t.last, np.eye(16)), r"drdy must have shape \(16, 112\)"),
     "explicit": (lambda t: (t.last, np.zeros((16, t.y.size)), np.eye(3)), "drdtheta must have shape"),
+    "NaN Jacobian": (lambda t: (t.last, np.full((16, t.y.size), np.nan)), "residual's drdy must be finite"),
+    "NaN explicit": (lambda t: (t.last, np.zeros((16, t.y.size)), np.full((16, EXPLICIT), np.nan)), "be finite"),
 }
 
 
@@ -165,6 +172,23 @@ def test_bad_residuals(case: str) -> None:
     variables = Variables(*net(), ["mass"])
     with pytest.raises(ValueError, match=message):
         Residuals(run, variables, residual)(variables.start)
+
+
+@pytest.mark.parametrize("kind", ["nothing", "another start", "another system"])
+def test_a_run_of_something_else_is_refused(kind: str) -> None:
+    """Its gradient would be by other numbers than those that are turned."""
+    system, y0 = net()
+    variables = Variables(system, y0, ["mass"])
+    other: Any = {
+        "nothing": lambda system, y0: None,
+        "another start": lambda system, y0: run(system, y0 + 1.0),
+        "another system": lambda system, y0: run(net()[0], y0),
+    }[kind]
+    message = "run must return a Trajectory; got None" if kind == "nothing" else "run must simulate the system and the"
+    with pytest.raises(ValueError, match=message):
+        ReducedObjective(other, variables, path_objective)(2 * variables.start)
+    with pytest.raises(ValueError, match=message):
+        Residuals(other, variables, observed)(2 * variables.start)
 
 
 def test_scipy_takes_both() -> None:
@@ -242,3 +266,25 @@ def test_the_derivative_by_the_states_may_be_a_callable() -> None:
 def test_optimise_needs_numbers() -> None:
     with pytest.raises(ValueError, match="start must be finite"):
         optimise(lambda p: (0.0, p), [np.nan])
+
+
+def test_an_optimisation_refuses_nan_and_forgives_infinity() -> None:
+    """SciPy would go on with NaN to its last iteration."""
+    with pytest.raises(ValueError, match="fit must return numbers, value and gradient; NaN in evaluation 1"):
+        optimise(lambda p: (np.nan, p), [1.0])
+    with pytest.raises(ValueError, match="NaN in evaluation 2"):
+        optimise(lambda p: (float(p[0]), np.ones(1) if p[0] == 1 else np.full(1, np.nan)), [1.0])
+    walled = optimise(lambda p: (p[0] - np.log(p[0]), 1 - 1 / p) if p[0] > 0 else (np.inf, 0 * p), [9.0], method="BFGS")
+    assert walled.p == pytest.approx([1.0]) and np.isfinite(walled.best).all()
+
+
+def test_what_is_left_of_residuals_is_half_their_square() -> None:
+    class Two:
+        def __call__(self, p: Array) -> Array:
+            return np.array([p[0] - 1.0, p[0] + 1.0])
+
+        def jacobian(self, p: Array) -> Array:
+            return np.ones((2, 1))
+
+    found = optimise(Two(), [0.5])
+    assert found.value == pytest.approx(1.0) and found.values[-1] == pytest.approx(1.0)

@@ -417,3 +417,64 @@ def test_an_equilibrium_cannot_be_written_to():
     with pytest.raises(ValueError, match="read-only"):
         REST.q[0] = 1.0
     assert replace(REST, status=Status.CONVERGED).linearize().jacobian().shape == (4, 6)
+
+
+# Where the bounds lie
+
+
+def truss(share, height=0.3):
+    """Two springs that lean on each other, under this share of the load at which they snap through; near the fold."""
+    length, k = np.hypot(1.0, height), 100.0
+    at_fold = np.sqrt(length ** (2 / 3) - 1.0)  # d/dy of (l0/l - 1) y is 0 where l^3 = l0
+    load = 2 * k * (length / np.hypot(1.0, at_fold) - 1) * at_fold
+    springs, gravity = Springs([(0, 2), (1, 2)], length, k), Gravity([0.0, -load * share])
+    return System(np.ones(3), [springs, gravity], dimension=2, fixed=[0, 1]), [-1, 0, 1, 0, 0, height]
+
+
+def test_a_fold_is_told_from_a_place_near_it():
+    """The smallest eigenvalue goes with the root of the distance: 2.3e-6 and 2.3e-7 of the largest here."""
+    near, at = (record(*truss(1 - distance)) for distance in (1e-9, 1e-11))
+    assert near.status is Status.CONVERGED and near.eigenvalue == pytest.approx(2.3e-6, rel=0.05)
+    assert at.status is Status.SINGULAR and at.eigenvalue == pytest.approx(2.3e-7, rel=0.1)
+    assert record(*truss(1.001)).q[5] < 0  # snapped through
+
+
+@pytest.mark.parametrize("soft, status", [(1e-9, Status.CONVERGED), (1e-12, Status.SINGULAR)])
+def test_what_is_soft_everywhere_is_no_fold_and_what_round_off_hides_is(soft, status):
+    springs = [Springs([(0, 2)], 1.0, 1.0, name="stiff"), Springs([(1, 2)], 1.0, soft, name="soft")]
+    corner = System(np.ones(3), springs, dimension=2, fixed=[0, 1])
+    found = record(corner, [-1, 0, 0, -1, 0, 0])
+    assert found.status is status and found.eigenvalue == pytest.approx(soft, rel=1e-3)
+
+
+def test_a_far_equilibrium_is_one():
+    """A spring that its load stretches a million times, and the same force from an effect without an energy."""
+    rest = quasistatic(hanging(load=-2.5e7), HANGING)
+    assert rest.q[3] == pytest.approx(-(1 + 1e6), rel=1e-12)
+
+
+@dataclass(frozen=True)
+class Push:
+    """A constant force that tells no energy."""
+
+    strength: float
+    name: str = "push"
+
+    def force(self, t, q, v):
+        return np.full_like(q, self.strength)
+
+
+def test_a_constant_force_without_an_energy_has_a_potential():
+    """At rest and in its sign: down by it, up against the gravity it cancels."""
+    system = hanging(Push(-30.0))
+    problem = StaticProblem(system, 0.0, np.array(HANGING))
+    q, step = np.array([0.0, 0.0, 0.7, -1.1]), np.array([0.0, 0.0, 3e-6, -5e-6])
+    slope = (problem.potential(q + step) - problem.potential(q - step)) / 2
+    assert problem.conservative and slope == pytest.approx(problem.residual(q) @ step, rel=1e-6)
+
+
+def test_an_imbalance_above_round_off_counts():
+    problem = StaticProblem(hanging(), 0.0, np.array(HANGING))
+    q = np.array([0.0, 0.0, 0.0, -1.4])
+    assert problem.imbalance(q, np.full(4, 1e-15)) == 0.0  # of the 40 N that act on the hook
+    assert problem.imbalance(q, np.full(4, 2e-10)) == pytest.approx(2e-10 / 40)

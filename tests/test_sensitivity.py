@@ -188,3 +188,14 @@ def test_block_system_needs_a_step() -> None:
     system, y0 = everything()
     with pytest.raises(ValueError, match="at least one step"):
         block_system(simulate(BackwardEuler(), system, y0, H, 0))
+
+
+def test_block_system_refuses_what_is_no_number() -> None:
+    system, y0 = everything()
+    whole = block_system(simulate(BackwardEuler(), system, y0, H, 2))
+    with pytest.raises(ValueError, match="dJdy must be finite"):
+        whole.gradient(np.full((3, len(y0)), np.nan))
+    with pytest.raises(ValueError, match="dJdy must have shape"):
+        whole.gradient(np.zeros((2, len(y0))))
+    with pytest.raises(ValueError, match="dp must be finite"):
+        whole.derivative(np.full(whole.dGdp.shape[1], np.nan))

@@ -36,11 +36,20 @@ def red(checks: Any) -> list[str]:
 # Every row
 
 
+# What is promised, and from where: a looser bound is another promise.
+REACHED = {
+    "control": {("gradient against a difference", "<= 1e-05"), ("start value / value", ">= 100")},
+    "targeting": {("RMS miss of the corners, m", "<= 0.005"), ("start value / value", ">= 10000")},
+    "identification": {("springs within 1 %, of those seen", ">= 0.99"), ("springs within 1 % at the start", "<= 0.1")},
+}
+
+
 @pytest.mark.parametrize("row", catalog.SHOWCASES, ids=lambda row: row.name)
 def test_a_showcase_succeeds_and_is_drawn(row: Showcase) -> None:
     told: list[tuple[int, int, str]] = []
     result = row.run(True, lambda *state: told.append(state))
     assert result.checks() and not red(result.checks())
+    assert REACHED.get(row.name, set()) <= {(check.statement, check.bound) for check in result.checks()}
     assert result.optimisation.value < result.optimisation.values[0] and result.optimisation.evaluations > 1
     assert told and all(0 <= done <= total and text for done, total, text in told)
     assert to_png(row.draw(result), dpi=30).startswith(b"\x89PNG")
@@ -129,6 +138,12 @@ def identified() -> identification.Identification:
 
 def test_a_small_identification_is_green() -> None:
     assert not red(identified().checks())
+
+
+def test_bars_that_miss_the_truth_are_red() -> None:
+    found = identified()
+    missed = replace(found, coverage=replace(found.coverage, hits=np.zeros_like(found.coverage.hits)))
+    assert [line for line in red(missed.checks()) if "bars that reach the truth" in line]
 
 
 @pytest.mark.parametrize("name", SABOTAGE)

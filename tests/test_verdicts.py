@@ -19,7 +19,7 @@ from dsim.studies import Simulator, audit
 from dsim.studies.horizons import damped, damped_slope, logistic, logistic_state, logistic_truth, over_the_wall
 from dsim.studies.peers import agreement, cloth_problem, cloth_truth, of_program, twin
 from dsim.studies.planted import PlantedBug, right
-from dsim.studies.smoothing import Wall, by_quadrature, by_sampling
+from dsim.studies.smoothing import Slopes, Wall, by_quadrature, by_sampling
 from dsim.studies.verdicts import ProgramVerdict, judge_descent, judge_physics, judge_program, of_system
 
 BUGS = {bug.name: bug for bug in catalog.PLANTED}
@@ -99,6 +99,20 @@ def test_a_bug_in_one_entry_of_many_is_seen() -> None:
     assert judge_program(many).verdict == "wrong"
 
 
+def test_a_bug_in_faint_entries_is_seen() -> None:
+    """Every tenth entry counts a ten-millionth of its neighbours, and has the wrong sign; right, it changes nothing."""
+
+    def faint(sign: float) -> Simulator:
+        x, a, signs = np.linspace(1, 2, 400), np.ones(400), np.ones(400)
+        a[9::10], signs[9::10] = 1e-7, sign
+        return Simulator("faint", x, lambda x, steps, h: np.array([a @ np.sin(x)]),
+                         lambda x, steps, h, w: w[0] * signs * a * np.cos(x), 0.1, 1)  # fmt: skip
+
+    assert judge_program(faint(1.0)).verdict == "right"
+    found = judge_program(faint(-1.0))
+    assert found.verdict == "wrong" and found.blocks[0].where == "random sum of faint entries"
+
+
 def test_single_precision_is_judged_by_its_own_measure() -> None:
     single = Simulator(
         "single",
@@ -159,6 +173,13 @@ def test_a_wall_without_a_time_of_impact_is_the_programs_derivative_and_not_the_
     assert judge_physics(wall).verdict == "astray"
 
 
+def test_physics_that_the_states_cannot_tell_are_unclear() -> None:
+    """A ripple as wide as the differences are taken: at two distances they say different things."""
+    rippled = program(lambda x, n, h: x + 0.1 * np.sin(200 * x), lambda x, n, h: 1 + 20 * np.cos(200 * x))
+    found = judge_physics(rippled)
+    assert found.verdict == "unclear" and 0.1 < found.doubt < 1
+
+
 def test_physics_need_not_be_asked() -> None:
     assert judge_physics(logistic(5), refinements=()).verdict == "not asked"
 
@@ -216,6 +237,38 @@ def test_a_gradient_that_sees_a_ripple_only_is_useless() -> None:
     """A ripple of 1e-3 m on a slope: the derivative sees the ripple only."""
     rippled = program(lambda x, n, h: x + 1e-3 * np.sin(3e4 * x), lambda x, n, h: 1 + 30 * np.cos(3e4 * x), x=1.0)
     assert judge_descent(rippled).verdict == "useless"
+
+
+def test_units_do_not_count_in_the_digits() -> None:
+    """The same decay in other units, in single precision too: a derivative of 1e16, and all digits are left."""
+    for single in (False, True):
+        scaled = program(
+            lambda x, n, h, t=np.float32 if single else float: t(1e8 * decay(1e8 * x, n, h)),
+            lambda x, n, h: 1e16 * (1 - h) ** n,
+            x=0.5e-8,
+        )
+        found = judge_descent(scaled)
+        assert found.verdict == "downhill" and found.growth[0] > 1e15 and found.digits > 6
+    crossing = program(lambda x, n, h: x - 0.5 + 1e-13, lambda x, n, h: 1.0)  # a miss that is almost nothing
+    assert judge_descent(crossing).verdict == "downhill"
+
+
+def test_two_digits_are_chaos_too() -> None:
+    found = judge_descent(logistic(48))
+    assert 0.5 < found.digits < 3 and found.verdict == "chaotic"
+
+
+def test_a_program_that_ends_nearby_is_unclear() -> None:
+    """Right at x; 5 % further on there is no state."""
+    ending = program(lambda x, n, h: np.sqrt(1.05 - x) if x < 1.05 else np.nan,
+                     lambda x, n, h: -0.5 / np.sqrt(1.05 - x) if x < 1.05 else np.nan, x=1.0)  # fmt: skip
+    found = audit(ending, refinements=())
+    assert found.words == ("right", "not asked", "unclear") and found.code == 2
+
+
+def test_a_bias_of_a_tenth_counts_and_one_of_a_thousandth_does_not() -> None:
+    assert Slopes(1.0, 1e-9, 0.9, 1e-9).biased and not Slopes(1.0, 0.05, 0.9, 1e-9).biased
+    assert not Slopes(1.0, 1e-9, 0.999, 1e-9).biased
 
 
 # All three, in words
@@ -297,6 +350,8 @@ def test_the_truth_of_the_cloth_is_known() -> None:
         ({"x": [np.nan]}, "x must be finite"),
         ({"blocks": {"a": [5]}}, "blocks['a'] must be indices from 0 to 0"),
         ({"start": ("b",)}, "start must name blocks, x; got 'b'"),
+        ({"x": [1.0, 2.0], "blocks": {"a": [0]}}, "blocks must cover every entry of x; 1 lies in none"),
+        ({"blocks": {"a": [0], "b": []}}, "blocks['b'] must name entries of x; got none"),
         ({"h": -1.0}, "h must be"),
         ({"steps": 0}, "steps must be"),
         ({"gradient": None}, "gradient must be callable"),
@@ -308,6 +363,16 @@ def test_a_simulator_says_what_is_wrong_with_it(change: dict[str, Any], message:
     with pytest.raises(ValueError) as error:
         Simulator(**values)
     assert message in str(error.value)
+
+
+def test_what_a_program_raises_is_told() -> None:
+    def raises(*arguments: Any) -> Any:
+        raise RuntimeError("boom")
+
+    with pytest.raises(ValueError, match="simulate of m raised RuntimeError: boom; where a run fails it must return"):
+        audit(Simulator("m", np.ones(2), raises, lambda x, n, h, w: w, 0.1, 1))
+    with pytest.raises(ValueError, match="gradient of m raised RuntimeError: boom"):
+        audit(Simulator("m", np.ones(2), lambda x, n, h: x, raises, 0.1, 1))
 
 
 def test_answers_of_wrong_shapes_are_told() -> None:

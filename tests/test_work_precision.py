@@ -209,6 +209,21 @@ def test_finished_cells_are_not_measured_again(tmp_path, monkeypatch):
     assert len(calls) in (10, 11)
 
 
+@pytest.mark.parametrize("text", ["{}", "[]", "3", '{"error": 1.0}', '{"cell": {"a": 1.0}, "digest": "0"}'])
+def test_a_damaged_cell_is_measured_again(text, tmp_path):
+    """Whatever it reads as: a store is a user's directory."""
+    Store(tmp_path).put({"a": 2.5, "b": [1, None]}, "key")
+    assert Store(tmp_path).get("key") == {"a": 2.5, "b": [1, None]}
+    next(tmp_path.glob("*.json")).write_text(text)
+    assert Store(tmp_path).get("key") is None
+
+
+def test_results_need_a_directory(tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(ValueError, match="--to must be a directory"):
+        report.run(["gradients"], tmp_path / "file", quick=True)
+
+
 def test_an_interrupted_run_leaves_finished_cells(tmp_path, monkeypatch):
     original, calls = module.measure, []
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from dsim.arrays.checks import Array
+from dsim.arrays.checks import Array, as_array
 from dsim.simulation import Trajectory
 from dsim.solve.linear import Factor, factorize
 
@@ -35,7 +35,7 @@ class BlockSystem:
     def derivative(self, dp: Any = None) -> Array:
         """dx/dp dp = -(dG/dx)^-1 dG/dp dp for dp (ny+P,) or (ny+P,k), by default all columns: (N+1, ny[, k])."""
         size = self.dGdp.shape[1]
-        dp = np.eye(size) if dp is None else np.asarray(dp, dtype=float)
+        dp = np.eye(size) if dp is None else as_array("dp", dp)
         if dp.shape[:1] != (size,):
             raise ValueError(f"dp must have {size} rows, ny + P; got shape {dp.shape}")
         ny, first = self._sizes
@@ -47,9 +47,7 @@ class BlockSystem:
         """dJ/dp (ny+P,) = dJ/dy_0 - dG/dp^T (dG/dx)^-T dJ/dx from dJdy (N+1,ny): one solve with the transpose."""
         ny, first = self._sizes
         steps = len(self.trajectory.t) - 1
-        dJdy = np.asarray(dJdy, dtype=float)
-        if dJdy.shape != (steps + 1, ny):
-            raise ValueError(f"dJdy must have shape {(steps + 1, ny)}; got {dJdy.shape}")
+        dJdy = as_array("dJdy", dJdy, (steps + 1, ny))
         loads = np.zeros((len(self.ticks) - 1, self.dGdx.shape[0] // (len(self.ticks) - 1)))
         loads[first:, :ny] = dJdy[1:]
         gradient: Array = -(self.dGdp.T @ self._factor().solve_transposed(loads.ravel()))

@@ -98,11 +98,13 @@ def _known(system: Any) -> dict[str, NDArray[np.int64]]:
 def _entries(wrt: Any, known: Mapping[str, NDArray[np.int64]]) -> dict[str, NDArray[np.int64]]:
     if isinstance(wrt, str) or not isinstance(wrt, Iterable):
         raise ValueError(f'wrt must be names such as ["springs.stiffness"]; got {wrt!r:.60}')
-    chosen: dict[str, Any] = dict(wrt) if isinstance(wrt, Mapping) else dict.fromkeys(wrt, ...)
+    chosen = wrt.items() if isinstance(wrt, Mapping) else ((name, ...) for name in wrt)
     found = {}
-    for name, indices in chosen.items():
-        if name not in known:
+    for name, indices in chosen:
+        if not isinstance(name, str) or name not in known:
             raise ValueError(f"wrt must name some of {', '.join(known)}; got {name!r:.60}")
+        if name in found:
+            raise ValueError(f"wrt must name every number once; {name!r} comes twice")
         try:
             found[name] = np.atleast_1d(known[name][indices if indices is ... else np.asarray(indices)])
         except IndexError as error:
@@ -178,7 +180,7 @@ class ReducedObjective:
         key = np.asarray(p, dtype=float).tobytes()
         if key in self._last:
             return self._last[key]
-        trajectory = self.run(*self.variables.place(p))
+        trajectory = _run(self.run, self.variables, p)
         found = (Linearizations(trajectory), *_answer(self.objective(trajectory)))
         if self.second is not None:
             self._last.clear()
@@ -186,13 +188,26 @@ class ReducedObjective:
         return found
 
 
+def _run(run: Run, variables: Variables, p: Any) -> Trajectory:
+    """The trajectory at p.  One of another system or start would have a gradient too, by other numbers."""
+    system, y0 = variables.place(p)
+    trajectory = run(system, y0)
+    if not isinstance(trajectory, Trajectory):
+        raise ValueError(f"run must return a Trajectory; got {trajectory!r:.60}")
+    _, simulated = trajectory.differentiable()
+    if not (np.array_equal(trajectory.first, y0) and np.array_equal(simulated.theta, system.theta)):
+        raise ValueError("run must simulate the system and the y0 it is given; this trajectory has others")
+    return trajectory
+
+
 def _answer(answer: Any) -> tuple[float, Any, Any]:
     if not isinstance(answer, tuple) or len(answer) not in (2, 3):
         raise ValueError(f"objective must return (value, dOdy) or (value, dOdy, dOdtheta); got {answer!r:.60}")
-    value = np.asarray(answer[0], dtype=float)
-    if value.ndim or not np.isfinite(value):
-        raise ValueError(f"objective must return a finite number; got {answer[0]!r:.60}")
-    return float(value), answer[1], answer[2] if len(answer) == 3 else None
+    try:
+        value = float(as_array("value", answer[0], ()))
+    except ValueError as error:
+        raise ValueError(f"objective must return a finite number; got {answer[0]!r:.60}") from error
+    return value, answer[1], answer[2] if len(answer) == 3 else None
 
 
 @dataclass(frozen=True, eq=False)
@@ -215,7 +230,7 @@ class Residuals:
     def _at(self, p: Any) -> tuple[Trajectory, Array, Any, Any]:
         key = np.asarray(p, dtype=float).tobytes()
         if key not in self._last:
-            trajectory = self.run(*self.variables.place(p))
+            trajectory = _run(self.run, self.variables, p)
             self._last.clear()
             self._last[key] = (trajectory, *_residual_answer(self.residual(trajectory), trajectory))
         found: tuple[Trajectory, Array, Any, Any] = self._last[key]
@@ -261,9 +276,12 @@ def _residual_answer(answer: Any, trajectory: Trajectory) -> tuple[Array, Any, A
     drdy, shape = csc_array(answer[1]), (len(r), trajectory.y.size)
     if drdy.shape != shape:
         raise ValueError(f"residual's drdy must have shape {shape}, (m, (N+1) ny); got {drdy.shape}")
+    as_array("residual's drdy", drdy.data)
     if len(answer) == 2:
         return r, drdy, None
     wanted = (len(r), trajectory.attached()[1].parameter_count)
     if np.shape(answer[2]) != wanted:
         raise ValueError(f"residual's drdtheta must have shape {wanted}, (m, P); got {np.shape(answer[2])}")
-    return r, drdy, answer[2]
+    drdtheta = csc_array(answer[2])
+    as_array("residual's drdtheta", drdtheta.data)
+    return r, drdy, drdtheta

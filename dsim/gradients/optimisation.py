@@ -42,7 +42,7 @@ class Optimisation:
     @property
     def best(self) -> Array:
         """The least value up to every evaluation, (M,)."""
-        return np.minimum.accumulate(self.values)
+        return np.fmin.accumulate(self.values)
 
 
 class _Recorded:
@@ -64,6 +64,8 @@ class _Recorded:
         if not (isinstance(answer, tuple | list) and len(answer) == 2):
             raise ValueError(f"fit must return the tuple (value, gradient); got {answer!r:.60}")
         value, gradient = answer
+        if np.isnan(value) or np.isnan(gradient).any():  # inf may pass: line searches turn back from there
+            raise ValueError(f"fit must return numbers, value and gradient; NaN in evaluation {len(self.values) + 1}")
         self.note(float(value), float(np.abs(gradient).max()))
         return value, gradient
 

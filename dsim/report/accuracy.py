@@ -63,6 +63,8 @@ def run(names: Sequence[str], to: Path, *, quick: bool = False, fresh: bool = Fa
     names: problems, and "gradients"; no name means every problem (with quick: two).  Returns the exit code: 1 where a
     check of the gradients is red.
     """
+    if to.exists() and not to.is_dir():
+        raise ValueError(f"--to must be a directory; {to} is a file")
     wanted = [name for name in names if name != GRADIENTS]
     chosen = select(wanted or QUICK_PROBLEMS * quick) if wanted or not names else ()
     sweep, store = QUICK if quick else Sweep(), Store(to / "cells", fresh=fresh)

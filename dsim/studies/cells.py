@@ -49,10 +49,11 @@ class Store:
         if self.directory is None:
             return self._memory.get(self._name(key))
         try:
-            found: dict[str, Any] = json.loads((self.directory / self._name(key)).read_text(encoding="utf-8"))
-        except (FileNotFoundError, json.JSONDecodeError, UnicodeDecodeError):
+            kept = json.loads((self.directory / self._name(key)).read_text(encoding="utf-8"))
+            found: dict[str, Any] = kept["cell"]
+            return found if kept["digest"] == _digest(found) else None
+        except (FileNotFoundError, json.JSONDecodeError, UnicodeDecodeError, KeyError, TypeError):
             return None
-        return found
 
     def put(self, value: dict[str, Any], *key: str) -> None:
         """Keep a cell: written beside its place, then renamed."""
@@ -62,7 +63,7 @@ class Store:
             return
         partial = self.directory / f".{name}.{os.getpid()}.partial"
         try:
-            partial.write_text(json.dumps(value), encoding="utf-8")
+            partial.write_text(json.dumps({"cell": value, "digest": _digest(value)}), encoding="utf-8")
             os.replace(partial, self.directory / name)
         finally:
             partial.unlink(missing_ok=True)
@@ -70,3 +71,8 @@ class Store:
     def _name(self, key: tuple[str, ...]) -> str:
         text = json.dumps([*key, versions()], sort_keys=True)
         return hashlib.sha256(text.encode()).hexdigest()[:24] + ".json"
+
+
+def _digest(value: dict[str, Any]) -> str:
+    """Of a cell as it reads back: a file that was damaged into other JSON shows."""
+    return hashlib.sha256(json.dumps(value, sort_keys=True).encode()).hexdigest()[:16]

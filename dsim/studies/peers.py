@@ -107,8 +107,10 @@ def of_program(name: str, make: Make, problem: Problem) -> Simulator:
     def program(steps: int, h: float, w: Array) -> tuple[Any, Any]:
         key = steps, h, w.tobytes()
         if key not in made:
-            forward, gradient = make(problem | {"steps": steps, "h": h, "weights": w.reshape(2, *shape)})
-            made[key] = forward, gradient
+            answer = make(problem | {"steps": steps, "h": h, "weights": w.reshape(2, *shape)})
+            if not (isinstance(answer, tuple) and len(answer) == 2 and all(callable(part) for part in answer)):
+                raise ValueError(f"make must return (forward, gradient), two callables; {name} gave {answer!r:.60}")
+            made[key] = answer
         return made[key]
 
     def parts(x: Array) -> tuple[Array, Array]:
@@ -117,7 +119,10 @@ def of_program(name: str, make: Make, problem: Problem) -> Simulator:
     def simulate(x: Array, steps: int, h: float) -> Any:
         known = [value for key, value in made.items() if key[:2] == (steps, h)]
         forward = known[0][0] if known else program(steps, h, problem["weights"].ravel())[0]
-        return np.concatenate([np.asarray(part).ravel() for part in forward(*parts(x))])
+        y = np.concatenate([np.asarray(part).ravel() for part in forward(*parts(x))])
+        if y.size != 2 * problem["v0"].size:
+            raise ValueError(f"forward must return the last (q, v), each of shape {shape}; got {y.size} numbers")
+        return y
 
     def gradient(x: Array, steps: int, h: float, w: Array) -> Array:
         answer = program(steps, h, w)[1](*parts(x))

@@ -26,11 +26,13 @@ LEAST_DIGITS = 3.0
 @dataclass(frozen=True, eq=False)
 class DescentVerdict:
     """verdict: downhill; biased, the mean of the derivatives is not the slope; useless, a step of that length
-    against the gradient hardly lowers the objective; chaotic, fewer than three digits are left.
+    against the gradient hardly lowers the objective; chaotic, fewer than three digits are left; unclear, the program
+    or its gradient is not finite within six of those lengths.
 
     t (K,) s; growth (K,): an estimate of norm(dy_T/dy_0), Frobenius.  rate: its exponential rate over the second
-    half, 1/s.  digits: -log10(eps * growth) at its largest, what round-off leaves.  slope: of the objective at x along
-    the steepest direction, per size of x; slopes: the smoothed ones.
+    half, 1/s.  digits: what round-off leaves, -log10(eps * growth) with the growth in sizes of x over the size of y, so
+    that units do not count.  slope: of the objective at x along the steepest direction, per size of x; slopes: the
+    smoothed ones.
     """
 
     verdict: str
@@ -58,8 +60,8 @@ def judge_descent(
     """Verdict 3 on the gradient of w . y; sigma: how far to smooth, in sizes of the blocks of x."""
     sigma = float(as_positive("sigma", sigma, ()))
     w = simulator.weights(seed) if w is None else w
-    t, growth, eps = _growth(simulator, seed)
-    digits = _digits(float(growth.max()), eps)
+    t, growth, relative, eps = _growth(simulator, sigma, seed)
+    digits = _digits(relative, eps)
     rate = _rate(t, growth)
     direction = simulator.pulled(w) * simulator.scale
     slope = float(np.linalg.norm(direction))
@@ -80,20 +82,32 @@ def judge_descent(
 def _word(digits: float, slope: float, slopes: Slopes) -> str:
     if not digits >= LEAST_DIGITS:
         return "chaotic"
+    if not np.isfinite([slopes.smoothed, slopes.mean]).all():
+        return "unclear"
     if slopes.biased:
         return "biased"
     return "downhill" if slopes.smoothed > max(0.05 * slope, slopes.smoothed_error) else "useless"
 
 
-def _growth(simulator: Simulator, seed: int) -> tuple[Array, Array, float]:
-    """(t, norm(dy_T/dy_0), eps): the mean over random objectives w of |w^T dy/dy0|^2 is the Frobenius norm squared."""
+def _growth(simulator: Simulator, sigma: float, seed: int) -> tuple[Array, Array, float, float]:
+    """(t, norm(dy_T/dy_0), its largest in sizes of x and y, eps): the mean over random objectives w of |w^T dy/dy0|^2
+    is the Frobenius norm squared."""
     places = np.concatenate([simulator.blocks[name] for name in simulator.start])
     y: Any = simulator.state(simulator.x)
     counts = np.unique(np.linspace(1, simulator.steps, TIMES).round().astype(int))
     rng = np.random.default_rng(seed + 1)
     probes = np.ones((1, 1)) if y.size == 1 else rng.choice([-1.0, 1.0], size=(min(PROBES, y.size), y.size))
-    squares = [[(simulator.pulled(w, steps=int(n))[places] ** 2).sum() for w in probes] for n in counts]
-    return simulator.h * counts, np.sqrt(np.mean(squares, axis=1)), float(np.finfo(y.dtype).eps)
+    pulled = np.array([[simulator.pulled(w, steps=int(n))[places] for w in probes] for n in counts])
+    scaled = pulled * simulator.scale[places]
+    growth, relative = (np.sqrt((p**2).sum(axis=2).mean(axis=1)) for p in (pulled, scaled))
+    size = _size(simulator, y, sigma * rng.choice([-1.0, 1.0], len(simulator.x)) * simulator.scale)
+    return simulator.h * counts, growth, float(relative.max()) / size, float(np.finfo(y.dtype).eps)
+
+
+def _size(simulator: Simulator, y: Array, change: Array) -> float:
+    """The largest |y| at x and beside it, where it may be zero by chance."""
+    states = np.stack([y, *(simulator.state(simulator.x + sign * change) for sign in (1.0, -1.0))])
+    return float(np.abs(states[np.isfinite(states)]).max(initial=0.0)) or 1.0
 
 
 def _digits(growth: float, eps: float) -> float:

@@ -1,8 +1,8 @@
 """First verdict: is it the derivative of the program?
 
-Every block of x is moved along a few directions - single entries, the largest ones among them, and random sums that
-look at all entries together - and `check_gradient` judges the slopes.  A block found wrong is judged again
-after fewer steps: the first step after which the gradient is wrong is where the bug acts.
+Every block of x is moved along a few directions - single entries, the largest ones among them, random sums that look
+at all entries together, and one of the faint entries alone - and `check_gradient` judges the slopes.  A block found
+wrong is judged again after fewer steps: the first step after which the gradient is wrong is where the bug acts.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ from dsim.studies.gradient_check import GradientReport, Verdict, check_gradient
 from dsim.studies.verdicts.simulator import Simulator
 
 SINGLE, SUMS = 3, 2  # directions looked at in a block: single entries, and random sums of all
+FAINT = 1e-3  # entries below this share of the largest are summed alone too: beside it a wrong one does not show
 SCAN = 32  # so many steps are tried one by one
 
 
@@ -76,6 +77,11 @@ def judge_program(simulator: Simulator, w: Array | None = None, seed: int = 0) -
         directions, labels = _directions(simulator, places, gradient, rng)
         report = _checked(simulator, w, directions, simulator.steps)
         evaluations += report.evaluations
+        if report.ok and (alone := _faint(simulator, places, gradient, rng)) is not None:
+            closer = _checked(simulator, w, alone, simulator.steps)
+            evaluations += closer.evaluations
+            if closer.verdict == "wrong":  # no other verdict counts: they are small enough for round-off to hide them
+                report, directions, labels = closer, alone, ["random sum of faint entries"]
         verdict = report.verdict
         first = None
         if verdict == "wrong":  # a random sum of all directions sees what any of them sees
@@ -99,7 +105,19 @@ def _directions(simulator: Simulator, places: Any, gradient: Array, rng: Any) ->
     directions = np.zeros((len(simulator.x), len(chosen) + sums))
     directions[places[chosen], np.arange(len(chosen))] = size
     directions[places, len(chosen) :] = size * rng.normal(size=(count, sums))  # signs alone can cancel
-    return directions, [f"entry {i}" for i in chosen] + [f"random sum {i}" for i in range(sums)]
+    labels = [f"entry {i}" for i in chosen] + [f"random sum {i}" for i in range(sums)]
+    return directions, labels
+
+
+def _faint(simulator: Simulator, places: Any, gradient: Array, rng: Any) -> Array | None:
+    """A random sum of the entries whose part of the gradient is small (k,1), or None."""
+    size = np.abs(gradient[places])
+    faint = places[(0 < size) & (size < FAINT * size.max())]
+    if len(places) <= SINGLE + SUMS or not len(faint):
+        return None
+    direction = np.zeros((len(simulator.x), 1))
+    direction[faint, 0] = simulator.scale[places[0]] * rng.normal(size=len(faint))
+    return direction
 
 
 def _checked(simulator: Simulator, w: Array, directions: Array, steps: int) -> GradientReport:

@@ -26,7 +26,8 @@ class Simulator:
     x (k,): the numbers it depends on.  simulate: (x, steps, h) -> the last state y (ny,).  gradient: (x, steps, h, w)
     -> d(w . y)/dx (k,) as the program finds it.  h s and steps: the run to judge.  blocks: name -> indices of x, by
     default one block "x".  start: the blocks that are the initial state; by default those called "y0", "positions",
-    "velocities", "q0" or "v0", else all.  A program that returns its loss has ny = 1.  Raises ValueError on bad input.
+    "velocities", "q0" or "v0", else all.  A program that returns its loss has ny = 1.  Raises ValueError on bad input:
+    every entry of x must lie in a block, or nothing would be said of it.
     """
 
     name: str
@@ -45,6 +46,10 @@ class Simulator:
                 raise ValueError(f"{label} must be callable; got {getattr(self, label)!r:.60}")
         blocks = {name: _indices(name, places, len(x)) for name, places in self.blocks.items()}
         blocks = blocks or {"x": np.arange(len(x))}
+        if empty := [name for name, places in blocks.items() if not len(places)]:
+            raise ValueError(f"blocks[{empty[0]!r}] must name entries of x; got none")
+        if len(left := np.setdiff1d(np.arange(len(x)), np.concatenate(list(blocks.values())))):
+            raise ValueError(f"blocks must cover every entry of x; {left[0]} lies in none")
         start = tuple(self.start) or tuple(name for name in blocks if name in STARTS) or tuple(blocks)
         if unknown := [name for name in start if name not in blocks]:
             raise ValueError(f"start must name blocks, {', '.join(blocks)}; got {unknown[0]!r}")
@@ -67,7 +72,7 @@ class Simulator:
 
     def state(self, x: Array, steps: int | None = None, h: float | None = None) -> NDArray[Any]:
         """y (ny,) in the precision the program works in; not finite where the run failed."""
-        y = np.asarray(self.simulate(x.copy(), steps or self.steps, h or self.h))
+        y = np.asarray(self._asked("simulate", x.copy(), steps or self.steps, h or self.h))
         if not (y.ndim <= 1 and y.size and np.issubdtype(y.dtype, np.floating)):
             raise ValueError(f"simulate must return one state (ny,) of floats; {self.name} gave {y.dtype} {y.shape}")
         return np.atleast_1d(y)
@@ -75,10 +80,20 @@ class Simulator:
     def pulled(self, w: Array, x: Array | None = None, steps: int | None = None, h: float | None = None) -> Array:
         """d(w . y)/dx (k,)."""
         x = self.x if x is None else x
-        gradient = np.asarray(self.gradient(x.copy(), steps or self.steps, h or self.h, w), dtype=float)
+        gradient = np.asarray(self._asked("gradient", x.copy(), steps or self.steps, h or self.h, w), dtype=float)
         if gradient.shape != x.shape:
             raise ValueError(f"gradient must return the shape of x, {x.shape}; {self.name} gave {gradient.shape}")
         return gradient
+
+    def _asked(self, label: str, *arguments: Any) -> Any:
+        """What the program answers; what it raises is told as a ValueError."""
+        try:
+            return getattr(self, label)(*arguments)
+        except ValueError:
+            raise
+        except Exception as error:
+            advice = "; where a run fails it must return a state that is not finite" if label == "simulate" else ""
+            raise ValueError(f"{label} of {self.name} raised {type(error).__name__}: {error}{advice}") from error
 
     def weights(self, seed: int = 0) -> Array:
         """w (ny,): an objective w . y that looks at all of the last state."""
