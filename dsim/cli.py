@@ -346,6 +346,39 @@ def optimise(
     raise typer.Exit(status)
 
 
+@app.command()
+def grade(
+    number: Annotated[str, typer.Argument(help="The assignment: 01, 02, ...", metavar="NN")],
+    submissions: Annotated[Path, typer.Argument(help="Directory of .py and .ipynb files.", metavar="SUBMISSIONS")],
+    to: Annotated[Path, typer.Option("--to", help="Where the grades go.", metavar="DIR")],
+    jobs: Annotated[int, typer.Option("--jobs", help="So many submissions at a time.", min=1)] = 1,
+    assignments: Annotated[
+        Path | None, typer.Option("--assignments", help="Where the assignments lie.", metavar="DIR")
+    ] = None,
+    unsandboxed: Annotated[
+        bool, typer.Option("--unsandboxed", help="Run submissions WITHOUT protection; marked in every result.")
+    ] = False,
+) -> None:
+    """Grade a class: results.json and feedback.md for each submission, grades.csv and summary.md for all.
+
+    Every submission runs in a sandbox; where none can be made, nothing is graded. A run that was stopped goes on where
+    it was. Exit code 0: all graded. 2: bad usage, no sandbox, interrupted.
+
+    **Examples**
+
+    `dsim grade 01 handed-in --to grades` - one at a time
+
+    `dsim grade 01 handed-in --to grades --jobs 2` - two at a time; the same command goes on after an interruption
+    """
+    from dsim.report import grading as report
+
+    try:
+        raise typer.Exit(report.run(number, submissions, to, jobs, assignments, sandboxed=not unsandboxed))
+    except KeyboardInterrupt:
+        typer.secho("dsim: interrupted; run the same command again to go on", err=True, fg="red")
+        raise typer.Exit(2) from None
+
+
 references = typer.Typer(
     help="Reference problems with certified answers, for simulators in any language.",
     no_args_is_help=True,

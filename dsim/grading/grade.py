@@ -1,0 +1,138 @@
+"""A class graded: every submission once, in a sandbox of its own, resumable, several at a time."""
+
+from __future__ import annotations
+
+import os
+import secrets
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from dataclasses import dataclass
+from functools import lru_cache
+from multiprocessing import get_context
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from dsim.grading import items as rubrics
+from dsim.grading import results
+from dsim.grading.items import Item, Outcome
+from dsim.grading.results import Graded
+from dsim.grading.sandbox import Jail, SandboxedStudent, SandboxError, check_sandbox
+from dsim.grading.student import LocalStudent
+from dsim.grading.submission import KINDS, SubmissionError, read
+from dsim.pictures.files import write_atomically
+
+Say = Callable[[int, int, str], None]  # (done, total, name)
+SECRET = ".dsim-secret"
+AHEAD = 4  # submissions handed to each process before it asks again: memory does not grow with the class
+
+
+@dataclass(frozen=True)
+class Task:
+    """One submission to grade, as a process gets it."""
+
+    assignment: Path
+    submission: Path
+    to: Path
+    secret: bytes
+    sandboxed: bool = True
+
+
+def secret_of(path: Path) -> bytes:
+    """The instructor's secret, made on first use and readable by nobody else."""
+    try:
+        return path.read_bytes()
+    except FileNotFoundError:
+        write_atomically(path, secrets.token_bytes(32))
+        path.chmod(0o600)
+        return path.read_bytes()
+
+
+def submissions_in(directory: Path) -> list[Path]:
+    """Everything that might be a submission, by name.  Raises ValueError where there is none, or two of one name."""
+    if not directory.is_dir():
+        raise ValueError(f"SUBMISSIONS must be a directory; there is none at {directory}")
+    found = sorted(path for path in directory.iterdir() if path.suffix in KINDS)
+    if not found:
+        raise ValueError(f"SUBMISSIONS must hold {' or '.join(KINDS)} files; {directory} has none")
+    names = [path.stem for path in found]
+    if doubled := sorted({name for name in names if names.count(name) > 1}):
+        raise ValueError(f"SUBMISSIONS must have one file a name; {doubled[0]} is there twice")
+    return found
+
+
+def grade(
+    assignment: Path,
+    submissions: Sequence[Path],
+    to: Path,
+    jobs: int = 1,
+    sandboxed: bool = True,
+    say: Say = lambda done, total, name: None,
+) -> list[dict[str, object]]:
+    """Grade what has no result yet; then the class's files.  The rows of grades.csv.
+
+    A run that was killed goes on where it was: results.json is written last, whole, and what has one is done.
+    Raises SandboxError where there is no sandbox that holds, ValueError for an assignment that is none.
+    """
+    items = rubrics.rubric(assignment / "rubric.toml")
+    if sandboxed:
+        check_sandbox()
+    secret = secret_of(to / SECRET)
+    rubrics.checks(items, assignment / "tests", secret)  # a mistake of ours shows before the first submission
+    missing = [path for path in submissions if results.read(to / path.stem, items) is None]
+    done = len(submissions) - len(missing)
+    tasks = (Task(assignment, path, to / path.stem, secret, sandboxed) for path in missing)
+    for name in _graded(tasks, jobs):
+        done += 1
+        say(done, len(submissions), name)
+    rows = [row for path in submissions if (row := results.read(to / path.stem, items)) is not None]
+    results.write_class(rows, items, to)
+    return [dict(row) for row in rows]
+
+
+def _graded(tasks: Iterator[Task], jobs: int) -> Iterator[str]:
+    """Names of submissions as they are done."""
+    if jobs == 1:
+        yield from map(grade_one, tasks)
+        return
+    with ProcessPoolExecutor(jobs, get_context("spawn")) as pool:
+        waiting: set[Future[str]] = set()
+        for task in tasks:
+            waiting.add(pool.submit(grade_one, task))
+            if len(waiting) >= AHEAD * jobs:
+                finished, waiting = wait(waiting, return_when=FIRST_COMPLETED)
+                yield from (future.result() for future in finished)
+        for future in waiting:
+            yield future.result()
+
+
+@lru_cache(maxsize=4)
+def _loaded(assignment: Path, secret: bytes) -> tuple[tuple[Item, ...], dict[str, Callable[..., object]]]:
+    items = rubrics.rubric(assignment / "rubric.toml")
+    return items, rubrics.checks(items, assignment / "tests", secret)
+
+
+def grade_one(task: Task) -> str:
+    """One submission, from file to results."""
+    items, checks = _loaded(task.assignment, task.secret)
+    try:
+        submission = read(task.submission)
+    except (SubmissionError, OSError) as error:
+        lost = tuple(Outcome(item, 0.0, "the submission could not be read") for item in items)
+        results.write(Graded(task.submission.stem, lost, refused=str(error), sandboxed=task.sandboxed), task.to)
+        return task.submission.stem
+    with TemporaryDirectory(prefix="dsim-submission-") as directory:
+        path = Path(directory) / "submission.py"
+        path.write_text(submission.source, encoding="utf-8")
+        if task.sandboxed:
+            jail = Jail(path, task.assignment, slot=os.getpid() % 4096)
+            with SandboxedStudent(jail) as student:
+                outcomes = rubrics.run(items, checks, student)
+            graded = Graded(submission.name, tuple(outcomes), student.notes)
+        else:
+            outcomes = rubrics.run(items, checks, LocalStudent(path, task.assignment))
+            graded = Graded(submission.name, tuple(outcomes), sandboxed=False)
+    results.write(graded, task.to)
+    return submission.name
+
+
+__all__ = ["SandboxError", "Task", "grade", "grade_one", "secret_of", "submissions_in"]

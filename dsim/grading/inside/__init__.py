@@ -1,0 +1,1 @@
+"""Files that lie in the sandbox beside the submission.  They import numpy and the standard library only."""

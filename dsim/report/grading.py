@@ -1,0 +1,44 @@
+"""`dsim grade` on a terminal: a bar, the class in a few lines, and where everything lies."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from rich.markup import escape
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.text import Text
+
+from dsim.grading import folder
+from dsim.grading import grade as grading
+from dsim.grading.results import GRADES, SUMMARY
+from dsim.grading.sandbox import SandboxError
+from dsim.report.terminal import console
+
+
+def run(
+    number: str, submissions: Path, to: Path, jobs: int = 1, assignments: Path | None = None, sandboxed: bool = True
+) -> int:
+    """Grade every submission that has no result yet; the exit status."""
+    assignment = folder.find(number, folder.root(assignments))
+    found = grading.submissions_in(submissions)
+    if to.exists() and not to.is_dir():
+        raise ValueError(f"--to must be a directory; {to} is a file")
+    err = console(stderr=True)
+    if not sandboxed:
+        err.print(Text("Submissions run WITHOUT a sandbox: they can do whatever you can.", style="bold red"))
+    columns = (BarColumn(bar_width=24), MofNCompleteColumn(), TimeRemainingColumn(), TextColumn("{task.description}"))
+    try:
+        with Progress(*columns, console=err, transient=True) as bar:
+            task = bar.add_task("", total=len(found))
+
+            def say(done: int, total: int, name: str) -> None:
+                bar.update(task, completed=done, description=escape(name))
+
+            rows = grading.grade(assignment.path, found, to, jobs, sandboxed, say)
+    except SandboxError as error:
+        err.print(Text(f"dsim: {error}", style="red"), soft_wrap=True)
+        return 2
+    out = console()
+    out.print((to / SUMMARY).read_text(), markup=False)
+    out.print(f"{len(rows)} submissions: {to / GRADES}", soft_wrap=True, markup=False)
+    return 0 if len(rows) == len(found) else 2

@@ -1,0 +1,259 @@
+"""Submissions whose only aim is to forge a grade: each gets what it earned, nothing is left, the next is fair."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from dsim.grading import grade as grading
+from dsim.grading.sandbox import USER, Jail, SandboxedStudent, SandboxError, check_sandbox
+from dsim.grading.student import StudentReply, StudentTimeout
+
+ASSIGNMENT = Path(__file__).parent.parent / "grading_fixture"
+SOLUTION = (ASSIGNMENT / "solution.py").read_text()
+SECRET = b"a secret of the tests"
+RIGHT = 7.0
+
+pytestmark = pytest.mark.skipif(shutil.which("bwrap") is None, reason="bubblewrap is not installed")
+
+# name: (submission, score, in which words the worst item says why).  What follows SOLUTION keeps it right.
+ATTACKS: dict[str, tuple[str, float, str]] = {
+    "nothing": ("", 0, "double is not defined"),
+    "syntax error": ("def double(x:\n    return 2", 0, "could not be read"),
+    "infinite loop in one item": (SOLUTION + "\ndef solve(A, b):\n    while True: pass\n", 4, "too long"),
+    "infinite loop on import": ("while True: pass\n", 0, "too long"),
+    "sys.exit on import": ("import sys\nsys.exit(0)\n", 0, "SystemExit"),
+    "os._exit(0)": (SOLUTION + "\ndef solve(A, b):\n    import os\n    os._exit(0)\n", 4, "ended its process"),
+    "crash": (SOLUTION + "\ndef solve(A, b):\n    import ctypes\n    ctypes.string_at(0)\n", 4, "ended its process"),
+    "8 GB": (SOLUTION + "\ndef solve(A, b):\n    return np.ones(2**30)[:4]\n", 4, "Memory"),
+    "deep recursion": (SOLUTION + "\ndef solve(A, b):\n    return solve(A, b)\n", 4, "RecursionError"),
+    "fork burst": (
+        SOLUTION + "\nimport os\ndef solve(A, b):\n    while True:\n        os.fork()\n",
+        4,
+        "",
+    ),
+    "a child that stays": (
+        SOLUTION + "\nimport os, time\nif os.fork() == 0:\n    os.setsid()\n    if os.fork() == 0:\n"
+        "        while True: time.sleep(1)\n    os._exit(0)\n",
+        RIGHT,
+        "",
+    ),
+    "patched comparison": (
+        "import numpy as np, sys\nnp.testing.assert_allclose = lambda *a, **k: None\nnp.abs = lambda x: 0 * x\n"
+        "def double(x): return x\ndef solve(A, b): return b\ndef step(f, x, v, h): return x, v\n",
+        1,
+        "off by",
+    ),
+    "reads the caller's frames": (
+        "import sys, numpy as np\ndef double(x):\n    frame = sys._getframe()\n    while frame:\n"
+        "        for name in ('expected', 'check', 'secret', 'student'):\n            if name in frame.f_locals:\n"
+        "                return frame.f_locals[name]\n        frame = frame.f_back\n    return x\n",
+        0,
+        "off by",
+    ),
+    "searches the disk for tests": (
+        "import os\ndef double(x):\n    for root, d, files in os.walk('/'):\n        for f in files:\n"
+        "            if f in ('test_hidden.py', 'solution.py', 'rubric.toml', '.dsim-secret'):\n"
+        "                raise RuntimeError(os.path.join(root, f))\n    return 3 * x\n",
+        0,
+        "off by",
+    ),
+    "imports the library": (
+        "import sys\nsys.path += ['/usr/lib/python3/dist-packages']\n"
+        "def double(x):\n    import dsim\n    return 2 * x\n",
+        0,
+        "ModuleNotFoundError",
+    ),
+    "prints a forged result": (
+        "import json, sys\nprint(json.dumps({'score': 999, 'max_score': 7}))\nsys.stdout.flush()\n",
+        0,
+        "not defined",
+    ),
+    "writes frames of its own": (
+        'import os, struct\nframe = b\'{"kind": "value", "value": 999, "arrays": []}\'\n'
+        "frame = struct.pack('<IQ', len(frame), 0) + frame\nfor d in range(3, 60):\n    try: os.write(d, frame * 50)\n"
+        "    except OSError: pass\n",
+        0,
+        "",
+    ),
+    "garbage on every descriptor": (
+        SOLUTION
+        + "\nimport os\nfor d in range(3, 60):\n    try: os.write(d, b'\\xff' * 4000)\n    except OSError: pass\n",
+        0,
+        "",
+    ),
+    "kills everything it may": (
+        SOLUTION + "\nimport os, signal\ndef solve(A, b):\n    os.kill(-1, signal.SIGKILL)\n",
+        4,
+        "",
+    ),
+    "kills its supervisor": (
+        SOLUTION
+        + "\nimport os, signal\ndef solve(A, b):\n    os.kill(os.getppid(), signal.SIGKILL)\n    while True: pass\n",
+        4,
+        "",
+    ),
+    "network": (
+        SOLUTION + "\nimport socket\ndef solve(A, b):\n    socket.create_connection(('192.0.2.1', 80), 1)\n",
+        4,
+        "OSError",
+    ),
+    "always equal": (
+        "import numpy as np\nclass Yes(np.ndarray):\n    __eq__ = __le__ = __ge__ = lambda s, o: True\n"
+        "    __sub__ = lambda s, o: s * 0\ndef double(x): return x.view(Yes)\n",
+        0,
+        "off by",
+    ),
+    "an object of its own": ("class Yes(float): pass\ndef double(x): return Yes(3)\n", 0, "must be numbers"),
+    "an exception whose text raises": (
+        "class Bad(Exception):\n    def __str__(self): raise Bad\ndef double(x): raise Bad\n",
+        0,
+        "cannot be told",
+    ),
+    "NaN": ("def double(x): return x * float('nan')\n", 0, "must be finite"),
+    "the wrong shape": ("def double(x): return [[2 * v for v in x]]\n", 0, "got a list"),
+    "text for numbers": ("def double(x): return 'right'\n", 0, "got a str"),
+    "an array of objects": (
+        "import numpy as np\ndef double(x): return np.array([2 * v for v in x] + [None], dtype=object)[:3]\n",
+        0,
+        "must hold floats",
+    ),
+    "a huge reply": ("import numpy as np\ndef double(x): return np.zeros(2**24)\n", 0, "at most"),
+    "a flood of print": (SOLUTION + "\nfor _ in range(300_000): print('x' * 100)\n", RIGHT, ""),
+    "lists in lists": (
+        "def double(x):\n    x = []\n    for _ in range(10_000): x = [x]\n    return x\n",
+        0,
+        "",
+    ),
+    "fills the disk": (
+        SOLUTION + "\ndef solve(A, b):\n    with open('/tmp/big', 'wb') as f:\n        for _ in range(1000):\n"
+        "            f.write(bytes(2**20))\n",
+        4,
+        "",
+    ),
+    "a right solution": (SOLUTION, RIGHT, ""),
+    "half right": (SOLUTION + "\ndef step(f, x, v, h):\n    v = v + h * f(x)\n    return x, v\n", 6, "x is off"),
+}
+
+
+def leftovers() -> list[str]:
+    """Processes of sandboxes that this process started: its slot's user as root, else its own descendants."""
+    out = subprocess.run(["ps", "-eo", "uid,ppid,args"], capture_output=True, text=True, check=True).stdout
+    lines = [line for line in out.splitlines() if "/sandbox/" in line]
+    if os.geteuid() == 0:
+        return [line for line in lines if line.split()[0] == str(USER + os.getpid() % 4096)]
+    return [line for line in lines if line.split()[1] in (str(os.getpid()), "1")]
+
+
+@pytest.fixture(scope="module", autouse=True)
+def holding() -> None:
+    check_sandbox()
+
+
+def graded(source: str | bytes, tmp_path: Path, name: str = "me.py") -> dict[str, Any]:
+    path = tmp_path / name
+    path.write_bytes(source if isinstance(source, bytes) else source.encode())
+    grading.grade_one(grading.Task(ASSIGNMENT, path, tmp_path / "out", SECRET))
+    found: dict[str, Any] = json.loads((tmp_path / "out" / "results.json").read_text())
+    return found
+
+
+@pytest.mark.parametrize("name", ATTACKS)
+def test_an_attack_gets_what_it_earned(name: str, tmp_path: Path) -> None:
+    source, score, why = ATTACKS[name]
+    found = graded(source, tmp_path)
+    told = " | ".join(test["output"] for test in found["tests"])
+    assert found["score"] == score, told
+    assert found["max_score"] == RIGHT and [test["number"] for test in found["tests"]] == [
+        "double",
+        "solve",
+        "integrate",
+    ]
+    assert why in told
+    assert not leftovers()
+
+
+@pytest.mark.parametrize(
+    "data, name, why",
+    [
+        (b"x = '\xff\xfe'", "me.py", "UTF-8"),
+        (b"#" * 10_000_000, "me.py", "at most"),
+        (b"{not json", "me.ipynb", "notebook"),
+        (b"\x00", "me.py", "not Python"),
+    ],
+)
+def test_a_file_that_is_no_submission(data: bytes, name: str, why: str, tmp_path: Path) -> None:
+    found = graded(data, tmp_path, name)
+    assert found["score"] == 0 and why in found["output"]
+
+
+def test_a_link_is_no_submission(tmp_path: Path) -> None:
+    (tmp_path / "me.py").symlink_to("/etc/passwd")
+    grading.grade_one(grading.Task(ASSIGNMENT, tmp_path / "me.py", tmp_path / "out", SECRET))
+    text = (tmp_path / "out" / "feedback.md").read_text()
+    assert "not a link" in text and "root:" not in text
+
+
+def test_nothing_of_an_item_is_left_for_the_next(tmp_path: Path) -> None:
+    """A global, a patched module and a file: the next item's child sees none but the file."""
+    source = (
+        "import numpy as np\ncount = []\n"
+        "def double(x):\n    count.append(1)\n    np.linalg.solve = None\n    return 2 * x\n"
+        "def solve(A, b):\n    assert not count\n    return np.linalg.solve(A, b)\n"
+    )
+    assert graded(source, tmp_path)["score"] == 5
+
+
+def test_the_sandbox_restarts_after_it_was_killed(tmp_path: Path) -> None:
+    (tmp_path / "me.py").write_text(
+        "import os, signal\ndef die():\n    os.kill(os.getppid(), signal.SIGKILL)\ndef live():\n    return 1\n"
+    )
+    with SandboxedStudent(Jail(tmp_path / "me.py", ASSIGNMENT, os.getpid() % 4096)) as student:
+        with pytest.raises((StudentReply, StudentTimeout)), student.item(2.0):
+            student.call("die")
+        with student.item(2.0):
+            assert student.call("live") == 1
+    assert not leftovers()
+
+
+def test_without_bubblewrap_nothing_is_graded(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setenv("PATH", str(tmp_path))
+    with pytest.raises(SandboxError, match="apt-get install bubblewrap"):
+        check_sandbox()
+
+
+@pytest.mark.parametrize(
+    "weaker, statement",
+    [
+        ({"PROCESSES": 5000}, "a fork burst is stopped"),
+        ({"MEMORY": 2**40}, "8 GB are refused"),
+    ],
+)
+def test_a_sandbox_that_does_not_hold_is_refused(
+    weaker: dict[str, int], statement: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Mutation: the self-test must be able to fail."""
+    from dsim.grading import sandbox
+
+    command = sandbox.Jail.command
+    before = {name: str(getattr(sandbox, name)) for name in weaker}
+
+    def loosened(self: Jail) -> list[str]:
+        words = command(self)
+        flags = {"PROCESSES": "--nproc=", "MEMORY": "--as="}
+        for name, value in weaker.items():
+            words[words.index(flags[name] + before[name])] = f"{flags[name]}{value}"
+        return words
+
+    monkeypatch.setattr(sandbox.Jail, "command", loosened)
+    monkeypatch.setattr(sandbox, "RESIDENT", 2**40)
+    if statement.startswith("8 GB") and os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGESIZE") < 12 * 2**30:
+        pytest.skip("this machine has no 8 GB to give")
+    with pytest.raises(SandboxError, match=statement):
+        sandbox.check_sandbox()
