@@ -8,6 +8,8 @@ from typing import Annotated
 
 import typer
 
+from dsim.cli_assignments import assignments, check_submission
+
 app = typer.Typer(
     name="dsim",
     help="Differentiable simulation you can read, teach from and check your own code against.",
@@ -378,6 +380,9 @@ def grade(
         typer.secho("dsim: interrupted; run the same command again to go on", err=True, fg="red")
         raise typer.Exit(2) from None
 
+
+app.add_typer(assignments, name="assignments")
+app.command(name="check-submission")(check_submission)
 
 references = typer.Typer(
     help="Reference problems with certified answers, for simulators in any language.",

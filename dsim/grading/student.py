@@ -81,11 +81,12 @@ class LocalStudent(Awards):
     def __init__(self, path: Path, kit: Path) -> None:
         self.path, self.kit = Path(path), Path(kit)
         self._module: ModuleType | None = None
+        self._kit: ModuleType | None = None
 
     @contextmanager
     def item(self, timeout: float) -> Iterator[None]:
         """One graded item: the submission is loaded anew."""
-        self.awarded, self._module = 0.0, None
+        self.awarded, self._module, self._kit = 0.0, None, None
         with _importing(self.kit):
             yield
 
@@ -113,7 +114,9 @@ class LocalStudent(Awards):
 
     def _resolved(self, argument: Any) -> Any:
         if isinstance(argument, KitFunction):
-            return getattr(_module("kit", self.kit / "kit.py"), argument.name)(**argument.numbers)
+            if self._kit is None:
+                self._kit = _module("kit", self.kit / "kit.py")
+            return getattr(self._kit, argument.name)(**argument.numbers)
         if isinstance(argument, list | tuple):
             return type(argument)(self._resolved(entry) for entry in argument)
         return argument

@@ -92,6 +92,8 @@ def _array_tree(value: Any, arrays: list[Any]) -> Any:
         value = value.toarray()
     if not isinstance(value, np.ndarray | np.generic):
         raise ProtocolError(f"values must be numbers, texts, arrays, or lists of them; got a {type(value).__name__}")
+    if value.nbytes > MOST_ARRAYS:
+        raise ProtocolError(f"arrays must have at most {MOST_ARRAYS} bytes together; got {value.nbytes}")
     array = np.array(value, copy=True, subok=False, order="C")
     dtype = array.dtype.newbyteorder("<")
     if dtype.kind in "iu" and dtype.str not in DTYPES:

@@ -1,0 +1,86 @@
+"""Hidden items: orders of accuracy, conserved quantities, stability."""
+
+import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.integrate import solve_ivp
+
+from dsim.grading import compare
+from dsim.grading.student import ItemLost, kit_function
+
+
+def end(student, force, x, v, h, steps):
+    """(x, v) after some steps of their rk4, called here, so that `simulate` is not needed."""
+    for n in range(steps):
+        found = student.call("rk4", force, x, v, n * h, h)
+        if not isinstance(found, tuple | list) or len(found) != 2:
+            raise ItemLost("rk4 must return the pair (x, v)")
+        x, v = (compare.array("rk4", part, x.shape) for part in found)
+    return np.concatenate([x, v]).ravel()
+
+
+def order(student, force, start, truth):
+    """log2 of the ratio of errors at h and h/2."""
+    x, v = (np.array([[value]]) for value in start)
+    errors = [np.abs(end(student, force, x, v, 1.0 / steps, steps) - truth).max() for steps in (8, 16)]
+    return float(np.log2(errors[0] / max(errors[1], 1e-15)))
+
+
+def judged(student, found):
+    if found > 1.5:
+        student.award(1 / 3)  # better than Euler
+    if not 3.4 <= found <= 5.2:
+        raise ItemLost(f"the observed order is {found:.1f}; it must be about 4", abs(found - 4), 0.6)
+
+
+@given(angle=st.floats(0.5, 1.5), ratio=st.floats(3.0, 8.0))
+def test_rk4_order(student, angle, ratio):
+    def f(t, y):
+        return [y[1], -ratio * np.sin(y[0])]
+
+    truth = solve_ivp(f, (0, 1), [angle, 0.0], "DOP853", rtol=1e-12, atol=1e-12).y[:, -1]
+    judged(student, order(student, kit_function("pendulum", ratio=ratio), (angle, 0.0), truth))
+
+
+@given(frequency=st.floats(1.5, 3.0), strength=st.floats(2.0, 5.0))
+def test_rk4_time(student, frequency, strength):
+    """x'' = -w^2 x + s cos t from rest: x = s (cos t - cos w t) / (w^2 - 1)."""
+    w, s = frequency, strength
+    truth = s / (w**2 - 1) * np.array([np.cos(1) - np.cos(w), -np.sin(1) + w * np.sin(w)])
+    judged(student, order(student, kit_function("shaken", frequency=w, strength=s), (0.0, 0.0), truth))
+
+
+@given(seed=st.integers(0, 2**31), method=st.sampled_from(["forward_euler", "symplectic_euler"]))
+def test_simulate(student, seed, method):
+    rng = np.random.default_rng(seed)
+    x, v, h, steps = *rng.normal(size=(2, 3, 2)), 0.05, 6
+    force = kit_function("shaken", frequency=2.0, strength=3.0)
+    found = student.call("simulate", method, force, x, v, h, steps)
+    if not isinstance(found, tuple | list) or len(found) != 2:
+        raise ItemLost("simulate must return the pair (X, V)")
+    states = [compare.array(name, part, (steps + 1, 3, 2)) for name, part in zip("XV", found, strict=True)]
+    compare.close("row 0 of X", states[0][0], x, 0.0)
+    compare.close("row 0 of V", states[1][0], v, 0.0)
+    student.award(0.5)
+    for n in range(steps):  # by their own method: a mistake there costs its own item only
+        step = student.call(method, force, states[0][n], states[1][n], n * h, h)
+        compare.close(f"X after step {n + 1}", states[0][n + 1], step[0], 1e-12)
+        compare.close(f"V after step {n + 1}", states[1][n + 1], step[1], 1e-12)
+
+
+def test_energy(student):
+    """A circle of radius 1, three turns: the energy -1/2 may swing by a little, and not drift."""
+    x, v, h = np.array([[1.0, 0.0]]), np.array([[0.0, 1.0]]), 0.05
+    found = []
+    for n in range(377):
+        step = student.call("symplectic_euler", kit_function("planet"), x, v, n * h, h)
+        x, v = (compare.array("symplectic_euler", part, (1, 2)) for part in step)
+        found.append(0.5 * (v**2).sum() - 1 / np.linalg.norm(x))
+    compare.at_most("the largest change of the energy", float(np.abs(np.array(found) + 0.5).max()), 5e-3)
+
+
+@given(stiffness=st.floats(1.0, 1e4), mass=st.floats(0.1, 10.0))
+def test_stable_step(student, stiffness, mass):
+    h = compare.number("largest_stable_step", student.call("largest_stable_step", stiffness, mass))
+    w = np.sqrt(stiffness / mass)
+    compare.at_most("h w - 2", abs(h * w - 2), 1e-9)

@@ -1,0 +1,49 @@
+"""Public items: you have this file.  `student.call("f", ...)` calls your function f."""
+
+import numpy as np
+
+from dsim.grading import compare
+from dsim.grading.student import ItemLost, kit_function
+
+
+def pair(name, value, shape):
+    """Your (x, v) as two arrays."""
+    if not isinstance(value, tuple | list) or len(value) != 2:
+        raise ItemLost(f"{name} must return the pair (x, v)")
+    return [compare.array(f"{part} of {name}", found, shape) for part, found in zip("xv", value, strict=True)]
+
+
+def test_forces(student):
+    rng = np.random.default_rng(1)
+    v, mass = rng.normal(size=(5, 3)), rng.uniform(0.5, 2.0, 5)
+    gravity, wind = np.array([0.0, 0.0, -9.81]), np.array([1.0, -2.0, 0.5])
+    zero = np.zeros(3)
+    compare.close("the weight", student.call("forces", v, mass, gravity, 0.0, wind), mass[:, None] * gravity, 1e-12)
+    student.award(0.5)
+    found = student.call("forces", v, mass, zero, 0.3, wind)
+    compare.close("drag", found, -0.3 * (v - wind), 1e-12)
+
+
+def one_step(student, method, x1, v1, given):
+    x, v, h = given
+    found = pair(method, student.call(method, kit_function("falling", gravity=9.81, drag=0.7), x, v, 0.0, h), x.shape)
+    compare.close(f"v of {method}", found[1], v1, 1e-12)
+    student.award(0.5)
+    compare.close(f"x of {method}", found[0], x1, 1e-12)
+
+
+def start():
+    rng = np.random.default_rng(2)
+    x, v = rng.normal(size=(2, 4, 2))
+    a = -0.7 * v - np.array([0.0, 9.81])
+    return x, v, a, 0.1
+
+
+def test_forward_euler(student):
+    x, v, a, h = start()
+    one_step(student, "forward_euler", x + h * v, v + h * a, (x, v, h))
+
+
+def test_symplectic_euler(student):
+    x, v, a, h = start()
+    one_step(student, "symplectic_euler", x + h * (v + h * a), v + h * a, (x, v, h))

@@ -1,0 +1,84 @@
+"""`dsim assignments` and `dsim check-submission` on a terminal."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from collections.abc import Sequence
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from rich.markup import escape
+from rich.table import Table as RichTable
+from rich.text import Text
+
+from dsim.grading import folder, submission
+from dsim.grading import items as rubrics
+from dsim.grading import release as releasing
+from dsim.grading.selfcheck import selfcheck
+from dsim.grading.student import LocalStudent
+from dsim.report.terminal import console
+
+
+def listing(where: Path | None) -> None:
+    """A row an assignment."""
+    table = RichTable(expand=False, padding=(0, 1), box=None, header_style="bold")
+    for name in ("NN", "title", "points", "items"):
+        table.add_column(name)
+    for found in folder.assignments(folder.root(where)):
+        rubric = found.path / "rubric.toml"
+        items = rubrics.rubric(rubric)
+        title = str(tomllib.loads(rubric.read_text(encoding="utf-8")).get("title", found.topic))
+        points = str(sum(item.points for item in items))
+        table.add_row(found.number, escape(title.removeprefix(found.number).strip()), points, str(len(items)))
+    console().print(table)
+
+
+def release(number: str, to: Path, where: Path | None) -> None:
+    """Write the folder for students and say where it is."""
+    target = releasing.release(folder.find(number, folder.root(where)), to)
+    console().print(f"written: {target}", soft_wrap=True, markup=False)
+
+
+def check(numbers: Sequence[str], where: Path | None) -> int:
+    """Every claim of every assignment; red ones are printed."""
+    directory = folder.root(where)
+    chosen = numbers or [found.number for found in folder.assignments(directory)]
+    out, bad = console(), 0
+    for number in chosen:
+        found = folder.find(number, directory)
+        with console(stderr=True).status(found.path.name) as status:
+            checks = list(selfcheck(found, lambda text, name=found.path.name: status.update(f"{name}: {text}")))  # type: ignore[misc]
+        red = [each for each in checks if not each.passed]
+        bad += len(red)
+        for each in red:
+            out.print(Text(str(each), style="red"), soft_wrap=True)
+        out.print(f"{found.path.name}: {len(checks) - len(red)} passed, {len(red)} failed", markup=False)
+    return 1 if bad else 0
+
+
+def check_submission(file: Path, number: str, where: Path | None) -> int:
+    """The public items, in this process."""
+    if not file.is_file():
+        raise FileNotFoundError(f"there is no file {file}")
+    match = re.match(r"\d\d", file.name)
+    if not number and match is None:
+        raise ValueError(f"--assignment must say which one, for {file.name} does not begin with its number")
+    assignment = folder.find(number or match[0], folder.root(where))  # type: ignore[index]
+    items = rubrics.rubric(assignment.path / "rubric.toml")
+    checks = rubrics.checks(items, assignment.path / "tests", b"public")
+    public = [item for item in items if item.visible == "public"]
+    with TemporaryDirectory(prefix="dsim-check-") as directory:
+        path = Path(directory) / file.with_suffix(".py").name
+        path.write_text(submission.read(file).source, encoding="utf-8")
+        outcomes = rubrics.run(public, checks, LocalStudent(path, assignment.path))
+    out = console()
+    for outcome in outcomes:
+        style = "bold red" if outcome.lost else "green"
+        out.print(Text(f"{outcome.score:g} of {outcome.item.points}  {outcome.item.title}", style=style))
+        if outcome.lost:
+            out.print(f"    {outcome.why}\n    Hint: {outcome.item.hint}", markup=False)
+    got, most = sum(outcome.score for outcome in outcomes), sum(item.points for item in public)
+    hidden = sum(item.points for item in items) - most
+    out.print(f"{got:g} of {most} public points; {hidden} more are hidden", markup=False)
+    return 0 if got == most else 1
