@@ -9,6 +9,7 @@ from typing import Annotated
 import typer
 
 from dsim.cli_assignments import assignments, check_submission
+from dsim.cli_lectures import lectures
 
 app = typer.Typer(
     name="dsim",
@@ -381,6 +382,7 @@ def grade(
         raise typer.Exit(2) from None
 
 
+app.add_typer(lectures, name="lectures")
 app.add_typer(assignments, name="assignments")
 app.command(name="check-submission")(check_submission)
 
