@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import re
+import subprocess
 import time
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -62,19 +63,16 @@ def execute(lecture: Lecture, notebook: Any) -> float:
     import nbclient
     from nbclient.exceptions import CellExecutionError, CellTimeoutError, DeadKernelError
 
-    environment = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MPLBACKEND": "agg"}
-    before = {name: os.environ.get(name) for name in environment}
+    package = str(Path(__file__).parents[2])  # the kernel imports the dsim that runs it
+    paths = os.pathsep.join(filter(None, [package, os.environ.get("PYTHONPATH", "")]))
+    own = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MPLBACKEND": "agg", "PYTHONPATH": paths}
     start = time.perf_counter()
     with TemporaryDirectory(prefix="dsim-lecture-") as directory:
         client = nbclient.NotebookClient(notebook, timeout=PATIENCE, resources={"metadata": {"path": directory}})
         try:
-            os.environ.update(environment)
-            client.execute()
+            client.execute(env={**os.environ, **own}, stderr=subprocess.DEVNULL)  # the kernel's, not the cells'
         except (CellExecutionError, CellTimeoutError, DeadKernelError) as error:
             raise LectureError(f"{lecture.path.name}, {_place(notebook)}: {_last_line(error)}") from error
-        finally:
-            for name, value in before.items():
-                os.environ.pop(name) if value is None else os.environ.update({name: value})
     for cell in notebook.cells:
         _settle(cell)
     return time.perf_counter() - start
