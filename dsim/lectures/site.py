@@ -85,7 +85,8 @@ def _stage(source: Path, lectures: Sequence[tuple[Lecture, Any]], assignments: P
     known = {lecture.path.stem for lecture, _ in lectures}
     for path in (source / "lectures").glob("*.ipynb"):
         text = path.read_text(encoding="utf-8")
-        path.write_text(re.sub(r"\]\((\d\d_\w+)\.ipynb\)", lambda m: m[0] if m[1] in known else "]", text))
+        link = re.compile(r"\[([^\[\]]+)\]\((\d\d_\w+)\.ipynb\)")
+        path.write_text(link.sub(lambda m: m[0] if m[2] in known else m[1], text), encoding="utf-8")
     _reference(source)
     _index(source, lectures, handouts)
 

@@ -16,7 +16,7 @@ html_show_sourcelink = False
 html_copy_source = False
 nb_execution_mode = "off"  # the notebooks come with their outputs
 nb_merge_streams = True
-nb_code_prompt_show = "Show the solution's code"
+nb_code_prompt_show = "Show the code"
 myst_enable_extensions = ["dollarmath", "amsmath"]
 myst_heading_anchors = 3
 mathjax_path = "mathjax/tex-chtml.js"  # a file of the site, not of a network
@@ -34,6 +34,8 @@ div.math { overflow-x: auto; overflow-y: hidden }
 .cell_output img, article img { background: white; border-radius: 4px }
 table { display: block; overflow-x: auto }
 details { border-left: 3px solid var(--color-brand-primary); padding: .2rem .8rem; margin: .6rem 0 }
+details.hide summary, details.hide summary span {
+  color: var(--color-foreground-primary) !important; background: var(--color-background-secondary) !important }
 .content :not(pre) > code { overflow-wrap: anywhere }
 dt.sig { overflow-wrap: anywhere }
 """
