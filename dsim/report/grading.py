@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from pathlib import Path
 
 from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.text import Text
 
-from dsim.grading import folder
+from dsim.grading import cluster, folder
 from dsim.grading import grade as grading
 from dsim.grading.results import GRADES, SUMMARY
 from dsim.grading.sandbox import SandboxError
@@ -16,9 +17,17 @@ from dsim.report.terminal import console
 
 
 def run(
-    number: str, submissions: Path, to: Path, jobs: int = 1, assignments: Path | None = None, sandboxed: bool = True
+    number: str,
+    submissions: Path,
+    to: Path,
+    where: int | str = 1,
+    assignments: Path | None = None,
+    sandboxed: bool = True,
 ) -> int:
-    """Grade every submission that has no result yet; the exit status."""
+    """Grade every submission that has no result yet; the exit status.
+
+    where: so many processes of this machine, or the address of a dask scheduler.
+    """
     assignment = folder.find(number, folder.root(assignments))
     found = grading.submissions_in(submissions)
     if to.exists() and not to.is_dir():
@@ -28,7 +37,10 @@ def run(
         err.print(Text("Submissions run WITHOUT a sandbox: they can do whatever you can.", style="bold red"))
     columns = (BarColumn(bar_width=24), MofNCompleteColumn(), TimeRemainingColumn(), TextColumn("{task.description}"))
     try:
-        with Progress(*columns, console=err, transient=True) as bar:
+        with (
+            cluster.connected(where) if isinstance(where, str) else nullcontext(where) as jobs,
+            Progress(*columns, console=err, transient=True) as bar,
+        ):
             task = bar.add_task("", total=len(found))
 
             def say(done: int, total: int, name: str) -> None:
