@@ -64,6 +64,36 @@ def check(
     raise typer.Exit(report.check(numbers or (), where))
 
 
+@assignments.command()
+def gradescope(
+    number: Annotated[str, typer.Argument(help="01, 02, ...", metavar="NN")],
+    to: Annotated[Path, typer.Option("--to", help="The zip to write.", metavar="FILE.zip")],
+    secret: Annotated[
+        Path | None, typer.Option("--secret", help="By default .dsim-secret beside the zip.", metavar="FILE")
+    ] = None,
+    other_user: Annotated[
+        bool, typer.Option("--other-user-there", help="Where no sandbox can be made there: weaker isolation.")
+    ] = False,
+    where: Where = None,
+) -> None:
+    """Write an autograder for Gradescope, and say which isolation submissions have there.
+
+    The secret, from which hidden inputs are drawn, is made if it is not there; it lies in the zip.
+    Exit code 0: written. 2: bad usage.
+
+    **Examples**
+
+    `dsim assignments gradescope 01 --to 01.zip` - grades there in the sandbox, or not at all
+
+    `dsim assignments gradescope 01 --to 01.zip --other-user-there` - else as another user, marked in every result
+
+    `dsim assignments gradescope 01 --to 01.zip --secret grades/.dsim-secret` - hidden inputs as in that class
+    """
+    from dsim.report import assignments as report
+
+    report.gradescope(number, to, secret, other_user, where)
+
+
 def check_submission(
     file: Annotated[Path, typer.Argument(help="Your .py or .ipynb.", metavar="FILE")],
     number: Annotated[str, typer.Option("--assignment", help="NN, if the name does not begin with it.")] = "",

@@ -36,6 +36,7 @@ class Task:
     to: Path
     secret: bytes
     sandboxed: bool = True
+    student: type[SandboxedStudent] = SandboxedStudent  # or one that is held otherwise
 
 
 class Workers(Protocol):
@@ -136,7 +137,7 @@ def grade_one(task: Task) -> str:
         path.write_text(submission.source, encoding="utf-8")
         if task.sandboxed:
             jail = Jail(path, task.assignment, slot=os.getpid() % 4096)
-            with SandboxedStudent(jail) as student:
+            with task.student(jail) as student:
                 outcomes = rubrics.run(items, checks, student)
             graded = Graded(submission.name, tuple(outcomes), student.notes)
         else:
