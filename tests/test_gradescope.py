@@ -250,7 +250,8 @@ def test_an_attack_on_the_weaker_isolation(name: str, weaker: Container) -> None
     status, said, found = weaker.run(me=source.replace("ROOT", str(weaker.root)))
     assert status == 0 and found["score"] == score, (said, found)
     assert why in " | ".join(test["output"] for test in found["tests"])
-    assert "weaker isolation" in found["output"] and found["extra_data"]["isolation"] == "another user"
+    assert "weaker isolation" in found["output"] and found["extra_data"] == {
+        "submission": "me", "sandboxed": False, "isolation": "another user"}  # fmt: skip
     assert "the submission runs as another user" in said
     assert not [
         line for line in everything() if FIRST_USER <= line[0] < FIRST_USER + 4096 and str(weaker.home) in line[1]
@@ -304,3 +305,40 @@ def test_only_our_own_users_can_be_ended() -> None:
     for user in (0, 1000, os.getuid()):
         with pytest.raises(ValueError, match="one of ours"):
             end_all_of(user)
+
+
+# With what setup.sh installs
+
+SYSTEM = "/usr/bin:/bin:/usr/sbin:/sbin"
+SUITABLE = "import ensurepip, sys, venv; sys.exit(sys.version_info < (3, 11))"
+
+
+def system_python() -> bool:
+    try:
+        return subprocess.run(["/usr/bin/python3", "-c", SUITABLE], capture_output=True).returncode == 0
+    except OSError:
+        return False
+
+
+@pytest.mark.slow
+@needs_root
+@needs_bubblewrap
+@pytest.mark.skipif(not system_python(), reason="/usr/bin/python3 is older than 3.11, or cannot make environments")
+def test_from_setup_to_results(tmp_path: Path) -> None:
+    """setup.sh with the system's Python and pip, then both ways to run."""
+    made(tmp_path, "--other-user-there")
+    home = Path(tempfile.mkdtemp(prefix="dsim-home-"))
+    try:
+        home.chmod(0o755)
+        for sandbox, expected in ((True, "sandbox"), (False, "another user")):
+            container = Container(tmp_path / "autograder", home, sandbox=False)
+            path = SYSTEM if sandbox else f"{tmp_path / 'bin'}:{SYSTEM}"
+            container.environment |= {"PYTHONPATH": "", "PATH": path}
+            if sandbox:
+                setup = ["bash", str(container.root / "source" / "setup.sh")]
+                done = subprocess.run(setup, env=container.environment, capture_output=True, text=True)
+                assert done.returncode == 0, done.stdout + done.stderr
+            status, said, found = container.run(me=SOLUTION)
+            assert status == 0 and found["score"] == 7 and found["extra_data"]["isolation"] == expected, said
+    finally:
+        shutil.rmtree(home)

@@ -53,6 +53,7 @@ def marked(data: bytes, weaker: bool) -> bytes:
     """results.json with the isolation told in it."""
     found = json.loads(data)
     found["output"] = (WEAKER if weaker else "") + found["output"]
+    found["extra_data"]["sandboxed"] = not weaker
     found["extra_data"]["isolation"] = "another user" if weaker else "sandbox"
     return (json.dumps(found, indent=1, allow_nan=False) + "\n").encode()
 
@@ -77,7 +78,7 @@ def main(root: Path) -> int:
         else:
             grade_one(Task(assignment, found, to, (source / "secret").read_bytes(), student=student))
         data = marked((to / RESULTS).read_bytes(), student is OtherUserStudent)
-    write_atomically(root / "results" / RESULTS, data)
+    write_atomically(root / "results" / RESULTS, data).chmod(0o644)
     print(f"graded: {json.loads(data)['score']:g} of {json.loads(data)['max_score']:g}")
     return 0
 
