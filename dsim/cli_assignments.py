@@ -28,8 +28,9 @@ def list_all(where: Where = None) -> None:
 
 @assignments.command()
 def release(
-    number: Annotated[str, typer.Argument(help="01, 02, ...", metavar="NN")],
+    numbers: Annotated[list[str], typer.Argument(help="01, 02, ...", metavar="NN...")],
     to: Annotated[Path, typer.Option("--to", help="Directory for students.", metavar="DIR")],
+    notebook: Annotated[bool, typer.Option("--notebook", help="The stub as .ipynb in place of .py.")] = False,
     where: Where = None,
 ) -> None:
     """Write what students get: the stub, the handout, the kit and the public checks, and nothing else.
@@ -39,10 +40,12 @@ def release(
     **Examples**
 
     `dsim assignments release 01 --to handouts`
+
+    `dsim assignments release 01 02 03 --to handouts --notebook` - a cell a function, tagged for grading
     """
     from dsim.report import assignments as report
 
-    report.release(number, to, where)
+    report.release(numbers, to, notebook, where)
 
 
 @assignments.command()

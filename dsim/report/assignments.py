@@ -36,10 +36,12 @@ def listing(where: Path | None) -> None:
     console().print(table)
 
 
-def release(number: str, to: Path, where: Path | None) -> None:
-    """Write the folder for students and say where it is."""
-    target = releasing.release(folder.find(number, folder.root(where)), to)
-    console().print(f"written: {target}", soft_wrap=True, markup=False)
+def release(numbers: Sequence[str], to: Path, notebook: bool, where: Path | None) -> None:
+    """Write the folders for students and say where they are."""
+    directory = folder.root(where)
+    for chosen in [folder.find(number, directory) for number in numbers]:
+        target = releasing.release(chosen, to, notebook)
+        console().print(f"written: {target}", soft_wrap=True, markup=False)
 
 
 def gradescope(number: str, to: Path, secret: Path | None, other_user: bool, where: Path | None) -> None:
