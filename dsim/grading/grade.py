@@ -62,7 +62,8 @@ def submissions_in(directory: Path) -> list[Path]:
         raise ValueError(f"SUBMISSIONS must be a directory; there is none at {directory}")
     found = sorted(path for path in directory.iterdir() if path.suffix in KINDS)
     if not found:
-        raise ValueError(f"SUBMISSIONS must hold {' or '.join(KINDS)} files; {directory} has none")
+        hint = "; it has directories: copy each student's file out of its own" if any(directory.glob("*/")) else ""
+        raise ValueError(f"SUBMISSIONS must hold {' or '.join(KINDS)} files; {directory} has none{hint}")
     names = [path.stem for path in found]
     if doubled := sorted({name for name in names if names.count(name) > 1}):
         raise ValueError(f"SUBMISSIONS must have one file a name; {doubled[0]} is there twice")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from contextlib import nullcontext
 from pathlib import Path
 
@@ -35,6 +36,9 @@ def run(
     err = console(stderr=True)
     if not sandboxed:
         err.print(Text("Submissions run WITHOUT a sandbox: they can do whatever you can.", style="bold red"))
+    if others := _others(submissions, found, to):
+        told = ", ".join(others[:8]) + f" and {len(others) - 8} more" * (len(others) > 8)
+        err.print(f"not graded, for they are no .py or .ipynb files: {told}", soft_wrap=True, markup=False)
     columns = (BarColumn(bar_width=24), MofNCompleteColumn(), TimeRemainingColumn(), TextColumn("{task.description}"))
     try:
         with (
@@ -54,3 +58,10 @@ def run(
     out.print((to / SUMMARY).read_text(), markup=False)
     out.print(f"{len(rows)} submissions: {to / GRADES}", soft_wrap=True, markup=False)
     return 0 if len(rows) == len(found) else 2
+
+
+def _others(submissions: Path, found: Sequence[Path], to: Path) -> list[str]:
+    """What lies among the submissions and is none; a student may have meant it."""
+    rest = set(submissions.iterdir()) - set(found)
+    return sorted(f"{path.name}{'/' * path.is_dir()}" for path in rest
+                  if not path.name.startswith((".", "__")) and path.resolve() != to.resolve())  # fmt: skip
