@@ -11,6 +11,7 @@ import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -53,10 +54,10 @@ def program(tmp_path: Path, name: str, *arguments: str, first: str = "", **varia
 
 
 @contextmanager
-def scheduler(tmp_path: Path) -> Iterator[str]:
+def scheduler(tmp_path: Path, **variables: str) -> Iterator[str]:
     told = tmp_path / "scheduler.json"
     with program(tmp_path, "scheduler", "--host", "127.0.0.1", "--port", "0", "--dashboard-address",
-                 "127.0.0.1:0", "--no-show", "--scheduler-file", str(told), first=BLOCKED):  # fmt: skip
+                 "127.0.0.1:0", "--no-show", "--scheduler-file", str(told), first=BLOCKED, **variables):  # fmt: skip
         yield json.loads(awaited(told.read_text))["address"]
 
 
@@ -106,21 +107,21 @@ def files(to: Path) -> dict[str, bytes]:
 @needs_bubblewrap
 def test_a_worker_that_is_killed_loses_nothing(tmp_path: Path) -> None:
     """The same files as from a run on this machine, each submission told once; the secret is the client's."""
-    submissions, to = classroom(tmp_path, 6), tmp_path / "out"
+    submissions, to = classroom(tmp_path, 4), tmp_path / "out"
     seen: list[str] = []
     with scheduler(tmp_path) as address, worker(tmp_path, address), worker(tmp_path, address) as victim:
         with joined(address, 2) as found:
 
             def say(done: int, total: int, name: str) -> None:
                 seen.append(name)
-                if len(seen) == 4:
+                if len(seen) == 3:
                     os.kill(victim, signal.SIGKILL)
 
             rows = grading.grade(ASSIGNMENT, submissions, to, jobs=found, say=say)
             assert len(found._client.nthreads()) == 1
             again = grading.grade(ASSIGNMENT, submissions, to, jobs=found, say=say)  # nothing is left to do
     assert sorted(seen) == sorted(path.stem for path in submissions) and again == rows
-    assert [row["score"] for row in rows] == [0, 0, 7, 5, 7, 5, 7, 5]
+    assert [row["score"] for row in rows] == [0, 0, 7, 5, 7, 5]
     (tmp_path / "here").mkdir()
     shutil.copy(to / grading.SECRET, tmp_path / "here")
     grading.grade(ASSIGNMENT, submissions, tmp_path / "here")
@@ -141,6 +142,24 @@ def test_a_run_that_was_killed_goes_on_here(tmp_path: Path) -> None:
     seen: list[str] = []
     rows = grading.grade(ASSIGNMENT, submissions, to, sandboxed=False, say=lambda d, t, name: seen.append(name))
     assert len(seen) == 3 and len(rows) == 6
+
+
+def test_a_submission_that_takes_its_workers_along(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It is named and has no result; the others have theirs.  (It takes a submission without a sandbox to do so.)"""
+    submissions, to = classroom(tmp_path, 2), tmp_path / "out"
+    submissions[-2].write_text("import os\nif 'DYING' in os.environ: os.kill(os.getpid(), 9)\n" + SOLUTION)
+    monkeypatch.setattr(cluster, "AHEAD", 1)
+    never = {"DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES": "0"}
+    start = partial(worker, tmp_path, DYING="1")
+    with scheduler(tmp_path, **never) as address, start(address=address), start(address=address):
+        with (
+            joined(address, 2) as found,
+            pytest.raises(cluster.ClusterError, match=r"lost with each of s00\.py, which"),
+        ):
+            grading.grade(ASSIGNMENT, submissions, to, jobs=found, sandboxed=False)
+    assert sorted(path.parent.name for path in to.glob("*/results.json")) == ["broken", "link", "s01"]
+    rows = grading.grade(ASSIGNMENT, submissions, to, sandboxed=False)
+    assert [row["score"] for row in rows] == [0, 0, 7, 5]
 
 
 @needs_bubblewrap

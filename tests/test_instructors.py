@@ -81,7 +81,7 @@ def test_the_small_assignment_is_one(tmp_path: Path) -> None:
     assert [outcome.score for outcome in outcomes(assignment, mutant)] == [0.5, 3]
 
 
-def test_files_that_are_not_graded_are_named(tmp_path: Path) -> None:
+def test_files_that_are_not_graded_are_named_and_those_that_have_changed(tmp_path: Path) -> None:
     small(tmp_path / "assignments")
     handed_in = tmp_path / "handed-in"
     (handed_in / "dee").mkdir(parents=True)
@@ -91,6 +91,10 @@ def test_files_that_are_not_graded_are_named(tmp_path: Path) -> None:
     words = ["grade", "21", str(handed_in), "--assignments", str(tmp_path / "assignments"), "--unsandboxed"]
     found = CliRunner().invoke(app, [*words, "--to", str(tmp_path / "out")])
     assert found.exit_code == 0 and "not graded, for they are no .py or .ipynb files: bob.zip, dee/" in found.stderr
+    assert "changed since" not in found.stderr
+    os.utime(handed_in / "ann.py", (2e9, 2e9))
+    found = CliRunner().invoke(app, [*words, "--to", str(tmp_path / "out")])
+    assert found.exit_code == 0 and "changed since they were graded: ann;" in found.stderr
     (handed_in / "ann.py").unlink()
     found = CliRunner().invoke(app, [*words, "--to", str(tmp_path / "out")])
     assert isinstance(found.exception, ValueError) and "it has directories: copy" in str(found.exception)

@@ -12,7 +12,7 @@ from rich.text import Text
 
 from dsim.grading import cluster, folder
 from dsim.grading import grade as grading
-from dsim.grading.results import GRADES, SUMMARY
+from dsim.grading.results import GRADES, RESULTS, SUMMARY
 from dsim.grading.sandbox import SandboxError
 from dsim.report.terminal import console
 
@@ -39,6 +39,9 @@ def run(
     if others := _others(submissions, found, to):
         told = ", ".join(others[:8]) + f" and {len(others) - 8} more" * (len(others) > 8)
         err.print(f"not graded, for they are no .py or .ipynb files: {told}", soft_wrap=True, markup=False)
+    if younger := [path.stem for path in found if _younger(path, to / path.stem / RESULTS)]:
+        told = f"changed since they were graded: {', '.join(younger)}; to grade one again, delete its folder in {to}"
+        err.print(told, soft_wrap=True, markup=False)
     columns = (BarColumn(bar_width=24), MofNCompleteColumn(), TimeRemainingColumn(), TextColumn("{task.description}"))
     try:
         with (
@@ -65,3 +68,7 @@ def _others(submissions: Path, found: Sequence[Path], to: Path) -> list[str]:
     rest = set(submissions.iterdir()) - set(found)
     return sorted(f"{path.name}{'/' * path.is_dir()}" for path in rest
                   if not path.name.startswith((".", "__")) and path.resolve() != to.resolve())  # fmt: skip
+
+
+def _younger(submission: Path, result: Path) -> bool:
+    return result.is_file() and submission.lstat().st_mtime > result.stat().st_mtime
