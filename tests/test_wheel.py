@@ -84,6 +84,10 @@ def test_a_student_and_an_instructor_with_the_wheel_alone(installed: Path, tmp_p
     assert "2 submissions" in dsim("grade", "01", "handed-in", "--to", "grades", *how)
     scores = [json.loads((tmp_path / "grades" / name / "results.json").read_text())["score"] for name in ("ann", "bob")]
     assert scores == [16, 0]
+    dsim("assignments", "gradescope", "01", "--to", "01.zip")
+    names = zipfile.ZipFile(tmp_path / "01.zip").namelist()
+    assert {"setup.sh", "run_autograder", "package/dsim/grading/there/__main__.py"} <= set(names)
+    assert not [name for name in names if "course" in name or "solution" in name]  # none of what the wheel carries
 
 
 def test_where_there_are_none_the_error_says_where_it_looked(
