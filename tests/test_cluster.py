@@ -38,7 +38,8 @@ def program(tmp_path: Path, name: str, *arguments: str, first: str = "", **varia
     """`dask scheduler` or `dask worker` as a process; its id."""
     code = f"{first}\nimport sys\nfrom distributed.cli.dask_{name} import main\nsys.exit(main())"
     root = str(Path(__file__).parent.parent)
-    environment = {**os.environ, "PYTHONPATH": root, "PYTHONWARNINGS": "ignore", **variables}
+    environment = {**os.environ, "PYTHONPATH": root, "PYTHONWARNINGS": "ignore",
+                   "TMPDIR": str(tmp_path), **variables}  # fmt: skip
     with (tmp_path / f"{name}.log").open("ab") as log:
         process = subprocess.Popen([sys.executable, "-c", code, *arguments], env=environment, cwd=tmp_path, stdout=log,
                                    stderr=log)  # fmt: skip
@@ -211,8 +212,9 @@ def test_what_travels_is_what_grading_needs(tmp_path: Path) -> None:
     names = {path.as_posix() for path in parcel.needed(ASSIGNMENT)}
     assert names == {"kit.py", "rubric.toml", "tests/test_hidden.py", "tests/test_public.py"}
     assert parcel.packed(ASSIGNMENT) == parcel.packed(ASSIGNMENT)
-    parcel.unpacked(parcel.packed(ASSIGNMENT), tmp_path)
-    assert (tmp_path / "tests" / "test_hidden.py").read_bytes() == (ASSIGNMENT / "tests/test_hidden.py").read_bytes()
+    found = parcel.unpacked(parcel.packed(ASSIGNMENT), tmp_path)
+    assert found == tmp_path / ASSIGNMENT.name
+    assert (found / "tests" / "test_hidden.py").read_bytes() == (ASSIGNMENT / "tests/test_hidden.py").read_bytes()
 
 
 def test_a_worker_cannot_write_elsewhere(tmp_path: Path) -> None:

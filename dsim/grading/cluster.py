@@ -39,15 +39,6 @@ class ClusterError(ValueError):
 _one_at_a_time = Lock()  # checks share sys.path and the state of random numbers with their process
 
 
-@lru_cache(maxsize=4)
-def _here(assignment: bytes) -> tuple[TemporaryDirectory[str], Path]:
-    """The assignment's files on this worker, kept for the submissions to come."""
-    directory = TemporaryDirectory(prefix="dsim-assignment-")
-    path = Path(directory.name) / "assignment"
-    parcel.unpacked(assignment, path)
-    return directory, path
-
-
 @lru_cache(maxsize=1)
 def _proved() -> None:
     check_sandbox()
@@ -73,7 +64,8 @@ def grade_there(
         file, to = Path(directory) / "in" / name, Path(directory) / "out"
         file.parent.mkdir()
         file.write_bytes(submission)
-        grade_one(Task(_here(assignment)[1], file, to, secret, sandboxed))
+        course = parcel.unpacked(assignment, Path(directory))  # anew each time: nothing hidden stays on a worker
+        grade_one(Task(course, file, to, secret, sandboxed))
         return {path.relative_to(to).as_posix(): path.read_bytes() for path in sorted(to.rglob("*")) if path.is_file()}
 
 

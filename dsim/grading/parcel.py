@@ -21,18 +21,19 @@ def needed(assignment: Path) -> list[Path]:
 
 
 def packed(assignment: Path) -> bytes:
-    """Those files as a zip archive; the same bytes for the same files."""
+    """Those files, in a folder of the assignment's name, as a zip archive; the same bytes for the same files."""
     data = io.BytesIO()
     with zipfile.ZipFile(data, "w", zipfile.ZIP_DEFLATED) as archive:
         for path in needed(assignment):
-            archive.writestr(zipfile.ZipInfo(path.as_posix()), (assignment / path).read_bytes())
+            archive.writestr(zipfile.ZipInfo(f"{assignment.name}/{path.as_posix()}"), (assignment / path).read_bytes())
     return data.getvalue()
 
 
-def unpacked(data: bytes, directory: Path) -> None:
-    """Write the files of `packed` into a directory."""
+def unpacked(data: bytes, directory: Path) -> Path:
+    """Write the files of `packed` into a directory; the assignment's folder there."""
     with zipfile.ZipFile(io.BytesIO(data)) as archive:
         archive.extractall(directory)
+        return directory / archive.namelist()[0].partition("/")[0]
 
 
 def sources() -> list[Path]:
