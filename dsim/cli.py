@@ -354,7 +354,10 @@ def grade(
     number: Annotated[str, typer.Argument(help="The assignment: 01, 02, ...", metavar="NN")],
     submissions: Annotated[Path, typer.Argument(help="Directory of .py and .ipynb files.", metavar="SUBMISSIONS")],
     to: Annotated[Path, typer.Option("--to", help="Where the grades go.", metavar="DIR")],
-    jobs: Annotated[int, typer.Option("--jobs", help="So many submissions at a time.", min=1)] = 1,
+    jobs: Annotated[int | None, typer.Option("--jobs", help="So many at a time, by default 1.", min=1)] = None,
+    scheduler: Annotated[
+        str, typer.Option("--scheduler", help="Grade on a dask cluster: tcp://host:8786", metavar="ADDRESS")
+    ] = "",
     assignments: Annotated[
         Path | None, typer.Option("--assignments", help="Where the assignments lie.", metavar="DIR")
     ] = None,
@@ -365,18 +368,25 @@ def grade(
     """Grade a class: results.json and feedback.md for each submission, grades.csv and summary.md for all.
 
     Every submission runs in a sandbox; where none can be made, nothing is graded. A run that was stopped goes on where
-    it was. Exit code 0: all graded. 2: bad usage, no sandbox, interrupted.
+    it was. With --scheduler the workers of a dask.distributed cluster grade, each after it has proved its own sandbox;
+    submissions, hidden checks and the secret travel to them. Exit code 0: all graded. 2: bad usage, no sandbox,
+    interrupted.
 
     **Examples**
 
     `dsim grade 01 handed-in --to grades` - one at a time
 
     `dsim grade 01 handed-in --to grades --jobs 2` - two at a time; the same command goes on after an interruption
+
+    `dsim grade 01 handed-in --to grades --scheduler tcp://10.0.0.5:8786` - on a cluster (`pip install "dsim[cluster]"`)
     """
     from dsim.report import grading as report
 
+    if jobs and scheduler:
+        raise ValueError("give --jobs, for this machine, or --scheduler, whose workers say how many; not both")
+    where = scheduler or jobs or 1
     try:
-        raise typer.Exit(report.run(number, submissions, to, jobs, assignments, sandboxed=not unsandboxed))
+        raise typer.Exit(report.run(number, submissions, to, where, assignments, sandboxed=not unsandboxed))
     except KeyboardInterrupt:
         typer.secho("dsim: interrupted; run the same command again to go on", err=True, fg="red")
         raise typer.Exit(2) from None

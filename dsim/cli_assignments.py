@@ -28,8 +28,9 @@ def list_all(where: Where = None) -> None:
 
 @assignments.command()
 def release(
-    number: Annotated[str, typer.Argument(help="01, 02, ...", metavar="NN")],
+    numbers: Annotated[list[str], typer.Argument(help="01, 02, ...", metavar="NN...")],
     to: Annotated[Path, typer.Option("--to", help="Directory for students.", metavar="DIR")],
+    notebook: Annotated[bool, typer.Option("--notebook", help="The stub as .ipynb in place of .py.")] = False,
     where: Where = None,
 ) -> None:
     """Write what students get: the stub, the handout, the kit and the public checks, and nothing else.
@@ -39,10 +40,12 @@ def release(
     **Examples**
 
     `dsim assignments release 01 --to handouts`
+
+    `dsim assignments release 01 02 03 --to handouts --notebook` - a cell a function, tagged for grading
     """
     from dsim.report import assignments as report
 
-    report.release(number, to, where)
+    report.release(numbers, to, notebook, where)
 
 
 @assignments.command()
@@ -62,6 +65,36 @@ def check(
     from dsim.report import assignments as report
 
     raise typer.Exit(report.check(numbers or (), where))
+
+
+@assignments.command()
+def gradescope(
+    number: Annotated[str, typer.Argument(help="01, 02, ...", metavar="NN")],
+    to: Annotated[Path, typer.Option("--to", help="The zip to write.", metavar="FILE.zip")],
+    secret: Annotated[
+        Path | None, typer.Option("--secret", help="By default .dsim-secret beside the zip.", metavar="FILE")
+    ] = None,
+    other_user: Annotated[
+        bool, typer.Option("--other-user-there", help="Where no sandbox can be made there: weaker isolation.")
+    ] = False,
+    where: Where = None,
+) -> None:
+    """Write an autograder for Gradescope, and say which isolation submissions have there.
+
+    The secret, from which hidden inputs are drawn, is made if it is not there; it lies in the zip.
+    Exit code 0: written. 2: bad usage.
+
+    **Examples**
+
+    `dsim assignments gradescope 01 --to 01.zip` - grades there in the sandbox, or not at all
+
+    `dsim assignments gradescope 01 --to 01.zip --other-user-there` - else as another user, marked in every result
+
+    `dsim assignments gradescope 01 --to 01.zip --secret grades/.dsim-secret` - hidden inputs as in that class
+    """
+    from dsim.report import assignments as report
+
+    report.gradescope(number, to, secret, other_user, where)
 
 
 def check_submission(

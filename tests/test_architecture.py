@@ -50,6 +50,7 @@ MUTATIONS = {
     "rich below the top": ("arrays/checks.py", "from rich.table import Table\n"),
     "PyTorch outside its layer": ("gradients/adjoint.py", "def f():\n    import torch\n"),
     "hypothesis in the library": ("arrays/checks.py", "import hypothesis\n"),
+    "dask outside the cluster": ("grading/grade.py", "import distributed\n"),
 }
 
 

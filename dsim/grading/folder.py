@@ -19,13 +19,21 @@ class Assignment:
 
 
 def root(given: Path | None = None) -> Path:
-    """The directory of the assignments: the one given, ./assignments, or the one beside the package in a checkout."""
-    places = [given] if given is not None else [Path("assignments"), Path(__file__).parents[2] / "assignments"]
-    for place in places:
-        if place.is_dir() and any(re.match(r"\d\d_", path.name) for path in place.iterdir()):
+    """The directory of the assignments: the one given, or the first of `places` that holds any."""
+    looked = [given] if given is not None else places()
+    for place in looked:
+        if place.is_dir() and assignments(place):
             return place.resolve()
-    told = "--assignments" if given is not None else "the working directory"
-    raise ValueError(f"{told} must hold assignments, folders such as 01_time_stepping; looked at {places[0]}")
+    if given is not None:
+        raise ValueError(f"--assignments must hold assignments, folders such as 01_time_stepping; {given} holds none")
+    raise ValueError("there are no assignments, folders such as 01_time_stepping, in any of "
+                     f"{', '.join(map(str, looked))}; say where they lie with --assignments DIR")  # fmt: skip
+
+
+def places() -> list[Path]:
+    """Where assignments are looked for: ./assignments, those of a checkout, those that the installed wheel carries."""
+    package = Path(__file__).parents[1]
+    return [Path("assignments").absolute(), package.parent / "assignments", package / "course" / "assignments"]
 
 
 def assignments(directory: Path) -> list[Assignment]:

@@ -11,6 +11,7 @@ from functools import lru_cache
 from multiprocessing import get_context
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Protocol
 
 from dsim.grading import items as rubrics
 from dsim.grading import results
@@ -35,6 +36,14 @@ class Task:
     to: Path
     secret: bytes
     sandboxed: bool = True
+    student: type[SandboxedStudent] = SandboxedStudent  # or one that is held otherwise
+
+
+class Workers(Protocol):
+    """Who grades instead of processes of this machine: `dsim.grading.cluster.Cluster`."""
+
+    def prove(self, sandboxed: bool) -> None: ...
+    def graded(self, tasks: Iterator[Task], sandboxed: bool) -> Iterator[str]: ...
 
 
 def secret_of(path: Path) -> bytes:
@@ -53,7 +62,8 @@ def submissions_in(directory: Path) -> list[Path]:
         raise ValueError(f"SUBMISSIONS must be a directory; there is none at {directory}")
     found = sorted(path for path in directory.iterdir() if path.suffix in KINDS)
     if not found:
-        raise ValueError(f"SUBMISSIONS must hold {' or '.join(KINDS)} files; {directory} has none")
+        hint = "; it has directories: copy each student's file out of its own" if any(directory.glob("*/")) else ""
+        raise ValueError(f"SUBMISSIONS must hold {' or '.join(KINDS)} files; {directory} has none{hint}")
     names = [path.stem for path in found]
     if doubled := sorted({name for name in names if names.count(name) > 1}):
         raise ValueError(f"SUBMISSIONS must have one file a name; {doubled[0]} is there twice")
@@ -64,24 +74,27 @@ def grade(
     assignment: Path,
     submissions: Sequence[Path],
     to: Path,
-    jobs: int = 1,
+    jobs: int | Workers = 1,
     sandboxed: bool = True,
     say: Say = lambda done, total, name: None,
 ) -> list[dict[str, object]]:
     """Grade what has no result yet; then the class's files.  The rows of grades.csv.
 
+    jobs: so many processes of this machine, or workers elsewhere.
     A run that was killed goes on where it was: results.json is written last, whole, and what has one is done.
     Raises SandboxError where there is no sandbox that holds, ValueError for an assignment that is none.
     """
     items = rubrics.rubric(assignment / "rubric.toml")
-    if sandboxed:
+    if not isinstance(jobs, int):
+        jobs.prove(sandboxed)
+    elif sandboxed:
         check_sandbox()
     secret = secret_of(to / SECRET)
     rubrics.checks(items, assignment / "tests", secret)  # a mistake of ours shows before the first submission
     missing = [path for path in submissions if results.read(to / path.stem, items) is None]
     done = len(submissions) - len(missing)
     tasks = (Task(assignment, path, to / path.stem, secret, sandboxed) for path in missing)
-    for name in _graded(tasks, jobs):
+    for name in _graded(tasks, jobs) if isinstance(jobs, int) else jobs.graded(tasks, sandboxed):
         done += 1
         say(done, len(submissions), name)
     rows = [row for path in submissions if (row := results.read(to / path.stem, items)) is not None]
@@ -125,7 +138,7 @@ def grade_one(task: Task) -> str:
         path.write_text(submission.source, encoding="utf-8")
         if task.sandboxed:
             jail = Jail(path, task.assignment, slot=os.getpid() % 4096)
-            with SandboxedStudent(jail) as student:
+            with task.student(jail) as student:
                 outcomes = rubrics.run(items, checks, student)
             graded = Graded(submission.name, tuple(outcomes), student.notes)
         else:

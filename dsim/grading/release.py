@@ -7,17 +7,21 @@ import shutil
 from pathlib import Path
 
 from dsim.grading.folder import Assignment
+from dsim.grading.notebook import notebook
 from dsim.grading.regions import stub
 
 GIVEN = ("handout.md", "kit.py", "tests/test_public.py")
 
 
-def release(assignment: Assignment, directory: Path) -> Path:
+def release(assignment: Assignment, directory: Path, as_notebook: bool = False) -> Path:
     """Write NN_topic/ into `directory`, whole or not at all; nothing of the solution, rubric or hidden checks in it.
 
+    The stub is NN_topic.py, or NN_topic.ipynb.
     Raises ValueError where NN_topic is there already: a student's work may be in it.
     """
     target = Path(os.path.abspath(directory)) / assignment.path.name
+    if directory.exists() and not directory.is_dir():
+        raise ValueError(f"--to must be a directory; {directory} is a file")
     if target.exists():
         raise ValueError(f"--to must not hold {target.name} yet; {target} is there, and may be somebody's work")
     source = stub((assignment.path / "solution.py").read_text(encoding="utf-8"))
@@ -26,7 +30,8 @@ def release(assignment: Assignment, directory: Path) -> Path:
     shutil.rmtree(partial, ignore_errors=True)
     (partial / "tests").mkdir(parents=True)
     try:
-        (partial / f"{assignment.path.name}.py").write_text(source, encoding="utf-8")
+        text = notebook(source, target.name) if as_notebook else source
+        (partial / f"{target.name}{'.ipynb' if as_notebook else '.py'}").write_text(text, encoding="utf-8")
         pictures = [path.name for path in sorted(assignment.path.glob("*.png"))]
         for name in (*GIVEN, *pictures):
             shutil.copyfile(assignment.path / name, partial / name)

@@ -13,8 +13,10 @@ from rich.table import Table as RichTable
 from rich.text import Text
 
 from dsim.grading import folder, submission
+from dsim.grading import gradescope as autograder
 from dsim.grading import items as rubrics
 from dsim.grading import release as releasing
+from dsim.grading.grade import SECRET, secret_of
 from dsim.grading.selfcheck import selfcheck
 from dsim.grading.student import LocalStudent
 from dsim.report.terminal import console
@@ -34,10 +36,27 @@ def listing(where: Path | None) -> None:
     console().print(table)
 
 
-def release(number: str, to: Path, where: Path | None) -> None:
-    """Write the folder for students and say where it is."""
-    target = releasing.release(folder.find(number, folder.root(where)), to)
-    console().print(f"written: {target}", soft_wrap=True, markup=False)
+def release(numbers: Sequence[str], to: Path, notebook: bool, where: Path | None) -> None:
+    """Write the folders for students and say where they are."""
+    directory = folder.root(where)
+    for chosen in [folder.find(number, directory) for number in numbers]:
+        target = releasing.release(chosen, to, notebook)
+        console().print(f"written: {target}", soft_wrap=True, markup=False)
+
+
+def gradescope(number: str, to: Path, secret: Path | None, other_user: bool, where: Path | None) -> None:
+    """Write the autograder's zip and say plainly how submissions are held there."""
+    if to.suffix != ".zip":
+        raise ValueError(f"--to must be a file that ends in .zip; got {to}")
+    if secret is not None and not secret.is_file():
+        raise FileNotFoundError(f"--secret must be a file that is there; there is none at {secret}")
+    assignment = folder.find(number, folder.root(where))
+    place = secret or to.parent / SECRET
+    autograder.write(assignment, to, secret_of(place), other_user)
+    out = console()
+    out.print(f"written: {to}\nsecret: {place}; it lies in the zip too, so give the zip to nobody\n", soft_wrap=True,
+              markup=False)  # fmt: skip
+    out.print(autograder.told(other_user), markup=False, soft_wrap=True, end="")
 
 
 def check(numbers: Sequence[str], where: Path | None) -> int:
