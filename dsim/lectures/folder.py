@@ -29,13 +29,15 @@ def root(given: Path | None = None) -> Path:
     Raises ValueError where there is none.
     """
     package = Path(__file__).parents[1]
-    places = [Path("lectures"), package.parent / "lectures", package / "course" / "lectures"]
-    places = [given] if given is not None else places
-    for place in places:
-        if place.is_dir() and any(NAME.fullmatch(path.name) for path in place.iterdir()):
+    places = [Path("lectures").absolute(), package.parent / "lectures", package / "course" / "lectures"]
+    looked = [given] if given is not None else places
+    for place in looked:
+        if place.is_dir() and lectures(place):
             return place.resolve()
-    told = "--lectures" if given is not None else "the working directory"
-    raise ValueError(f"{told} must hold lectures, files such as 01_time_stepping.md; looked at {places[0]}")
+    if given is not None:
+        raise ValueError(f"--lectures must hold lectures, files such as 01_time_stepping.md; {given} holds none")
+    raise ValueError("there are no lectures, files such as 01_time_stepping.md, in any of "
+                     f"{', '.join(map(str, looked))}; say where they lie with --lectures DIR")  # fmt: skip
 
 
 def lectures(directory: Path) -> list[Lecture]:

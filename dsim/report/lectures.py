@@ -86,7 +86,7 @@ def build(numbers: Sequence[str], where: Path | None, to: Path | None, html: boo
     if html:
         from dsim.lectures import site
 
-        target = (to or directory / "_site") if not student else notebooks / "site"
+        target = (to or Path("dsim-course")) if not student else notebooks / "site"
         with console(stderr=True).status("site"):
             index = site.build([(lecture, book) for lecture, book, _, _ in outcomes], _assignments(), target)
         out.print(f"open {index}", soft_wrap=True, markup=False)
