@@ -182,20 +182,14 @@ def connection(browser: str) -> Iterator[Pipe]:
                 process.wait()
 
 
-def visit(pipe: Pipe, page: Path, width: int = 1200, height: int = 900, scheme: str = "light") -> Visit:
-    """Open `page` in a new tab of the given size and colour scheme, and look."""
-    seen, url = Visit(), page.resolve().as_uri()
+@contextmanager
+def opened(pipe: Pipe, url: str, seen: Visit) -> Iterator[tuple[str, Callable[[str], Any]]]:
+    """A new tab: its session, and a function that evaluates a script in it."""
     target = pipe.call("Target.createTarget", url="about:blank")["targetId"]
     session = pipe.call("Target.attachToTarget", targetId=target, flatten=True)["sessionId"]
     pipe.on_event = lambda message: record(seen, message, url)
     for domain in ("Page", "Runtime", "Log", "Network"):
         pipe.call(f"{domain}.enable", session)
-    screen = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": width < 600}
-    pipe.call("Emulation.setDeviceMetricsOverride", session, **screen)
-    feature = {"name": "prefers-color-scheme", "value": scheme}
-    pipe.call("Emulation.setEmulatedMedia", session, features=[feature])
-    pipe.call("Page.navigate", session, url=url)
-    pipe.until(lambda message: message.get("method") == "Page.loadEventFired")
 
     def evaluate(script: str) -> Any:
         options = {"returnByValue": True, "awaitPromise": True}
@@ -204,14 +198,40 @@ def visit(pipe: Pipe, page: Path, width: int = 1200, height: int = 900, scheme: 
             raise RuntimeError(f"the page refused a question: {answer['exceptionDetails']}")
         return answer["result"]["value"]
 
-    pictures = evaluate(PICTURES)
-    seen.pictures = len(pictures)
-    seen.blank = [picture["name"] for picture in pictures if picture["blank"]]
-    seen.width = evaluate("document.documentElement.scrollWidth")
-    seen.contrast = evaluate(CONTRAST)
-    shot = pipe.call("Page.captureScreenshot", session, captureBeyondViewport=True)
-    seen.screenshot = base64.b64decode(shot["data"])
+    yield session, evaluate
     pipe.call("Target.closeTarget", targetId=target)
+
+
+def load(pipe: Pipe, session: str, url: str) -> None:
+    """Go to a page and wait until it has loaded."""
+    pipe.call("Page.navigate", session, url=url)
+    pipe.until(lambda message: message.get("method") == "Page.loadEventFired")
+
+
+def ask(pipe: Pipe, page: Path, script: str, query: str = "") -> Any:
+    """Open a page and evaluate a script in it."""
+    url = page.resolve().as_uri() + query
+    with opened(pipe, url, Visit()) as (session, evaluate):
+        load(pipe, session, url)
+        return evaluate(script)
+
+
+def visit(pipe: Pipe, page: Path, width: int = 1200, height: int = 900, scheme: str = "light") -> Visit:
+    """Open `page` in a new tab of the given size and colour scheme, and look."""
+    seen, url = Visit(), page.resolve().as_uri()
+    with opened(pipe, url, seen) as (session, evaluate):
+        screen = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": width < 600}
+        pipe.call("Emulation.setDeviceMetricsOverride", session, **screen)
+        feature = {"name": "prefers-color-scheme", "value": scheme}
+        pipe.call("Emulation.setEmulatedMedia", session, features=[feature])
+        load(pipe, session, url)
+        pictures = evaluate(PICTURES)
+        seen.pictures = len(pictures)
+        seen.blank = [picture["name"] for picture in pictures if picture["blank"]]
+        seen.width = evaluate("document.documentElement.scrollWidth")
+        seen.contrast = evaluate(CONTRAST)
+        shot = pipe.call("Page.captureScreenshot", session, captureBeyondViewport=True)
+        seen.screenshot = base64.b64decode(shot["data"])
     return seen
 
 

@@ -45,7 +45,7 @@ def lectures(directory: Path) -> list[Lecture]:
     found = []
     for path in sorted(directory.iterdir()):
         if match := NAME.fullmatch(path.name):
-            heading = re.search(r"^# (?:\d\d )?(.+)$", path.read_text(encoding="utf-8"), flags=re.M)
+            heading = re.search(r"^# (?:\d\d )?(.+)$", path.read_text(encoding="utf-8", errors="replace"), flags=re.M)
             found.append(Lecture(match[1], heading[1].strip() if heading else match[2], path))
     return found
 

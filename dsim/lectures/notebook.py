@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 import os
 import re
@@ -70,7 +71,8 @@ def execute(lecture: Lecture, notebook: Any) -> float:
     with TemporaryDirectory(prefix="dsim-lecture-") as directory:
         client = nbclient.NotebookClient(notebook, timeout=PATIENCE, resources={"metadata": {"path": directory}})
         try:
-            client.execute(env={**os.environ, **own}, stderr=subprocess.DEVNULL)  # the kernel's, not the cells'
+            quiet = {"env": {**os.environ, **own}, "stderr": subprocess.DEVNULL}  # the kernel's, not the cells'
+            asyncio.run(client.async_execute(**quiet))
         except (CellExecutionError, CellTimeoutError, DeadKernelError) as error:
             raise LectureError(f"{lecture.path.name}, {_place(notebook)}: {_last_line(error)}") from error
     for cell in notebook.cells:

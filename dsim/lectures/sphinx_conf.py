@@ -34,8 +34,9 @@ div.math { overflow-x: auto; overflow-y: hidden }
 .cell_output img, article img { background: white; border-radius: 4px }
 table { display: block; overflow-x: auto }
 details { border-left: 3px solid var(--color-brand-primary); padding: .2rem .8rem; margin: .6rem 0 }
-details.hide summary, details.hide summary span {
-  color: var(--color-foreground-primary) !important; background: var(--color-background-secondary) !important }
+body { --mystnb-hide-prompt-opacity: 100% }
+div.cell details.hide > summary, div.cell details.hide > summary > p.admonition-title {
+  color: var(--color-foreground-primary); background: var(--color-background-secondary) }
 .content :not(pre) > code { overflow-wrap: anywhere }
 dt.sig { overflow-wrap: anywhere }
 """
