@@ -8,6 +8,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from dsim import scenes
+from dsim.pictures.assignment_06 import quasistatics
 from dsim.pictures.style import COLOURS, canvas, label, style
 from dsim.simulation import simulate
 from dsim.steppers import ForwardEuler, SymplecticEuler
@@ -32,4 +33,7 @@ def time_stepping() -> Figure:
     return figure
 
 
-SUCCESS: dict[str, Callable[[], Figure]] = {"01": time_stepping}
+SUCCESS: dict[str, Callable[[], Figure]] = {
+    "01": time_stepping,
+    "06": quasistatics,
+}
