@@ -174,7 +174,7 @@ def bond(depth=1.0, width=2.0):
 
 
 class Target:
-    """O = |x - target|^2 / 2 + (price / 2) |p - usual|^2: come close to a shape, with parameters near the usual ones."""
+    """O = |x - target|^2 / 2 + (price / 2) |p - usual|^2: come close to a shape, at a price on p."""
 
     def __init__(self, target, price, usual):
         self.target, self.price, self.usual = target, price, usual

@@ -9,7 +9,7 @@ import numpy as np
 
 
 def equilibrium(body, x, p, tolerance=1e-9, most=40):
-    """x* (n,) with |f(x*; p)| <= tolerance (N) in every coordinate, by Newton's method from x; None where there is none.
+    """x* (n,) with |f(x*; p)| <= tolerance (N) in every coordinate, by Newton from x; None where there is none.
 
     None: after `most` iterations, where df/dx cannot be inverted, or where x is no longer finite.
     """
