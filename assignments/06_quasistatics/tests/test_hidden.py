@@ -95,7 +95,7 @@ def test_fold(student, depth, width, k):
 
 @given(seed=SEEDS, make=st.sampled_from(["some_net", "some_truss"]))
 def test_design_gradient(student, seed, make):
-    """Value and gradient at the place of rest, the gradient by their own adjoint: a mistake there costs its own item."""
+    """Value and gradient at rest, the gradient by their own adjoint, which has its own items."""
     rng = np.random.default_rng(seed)
     theirs, body, p = getattr(public, make)(rng)
     start = body.start()
