@@ -84,30 +84,40 @@ def four(name, value, arguments):
     return public.parts(name, value, {"J": (), "dJ/dy0": y0.shape, "dJ/du": u.shape, "dJ/dp": p.shape})
 
 
+def one_by_one(student, method, arguments, cost):
+    """Their own steps and linearizations: J, (A, B, C), dldy, dldu.  A mistake in these costs their own items only."""
+    body, _, y0, u, p, h = arguments
+    n, y, found = len(y0) // 2, [y0], []
+    shapes = {"A": (2 * n, 2 * n), "B": (2 * n, n), "C": (2 * n, len(p))}
+    for control in u:
+        y.append(compare.array("y1", student.call(f"{method}_step", body, y[-1], control, p, h), y0.shape))
+        triple = student.call(f"{method}_linearization", body, y[-2], y[-1], p, h)
+        found.append(public.parts(f"{method}_linearization", triple, shapes))
+    value = sum(map(cost.state, range(len(y)), y)) + sum(map(cost.control, range(len(u)), u))
+    dldy, dldu = (np.array(list(map(f, range(len(z)), z))) for f, z in ((cost.dldy, y), (cost.dldu, u)))
+    return value, [np.array(matrices) for matrices in zip(*found, strict=True)], dldy, dldu
+
+
 @given(seed=SEEDS)
 def test_gradient(student, seed):
-    """Their own steps, linearizations and sweep, called one by one: a mistake in them costs their items only."""
     rng = np.random.default_rng(seed)
     for method in ("symplectic", "backward"):
         arguments, cost = some_flight(rng, 3)
-        body, _, y0, u, p, h = arguments
         found = four("gradient", student.call("gradient", method, *arguments), arguments)
-        y, matrices = [y0], []
-        for control in u:
-            y.append(student.call(f"{method}_step", body, y[-1], control, p, h))
-            matrices.append(student.call(f"{method}_linearization", body, y[-2], y[-1], p, h))
-        value = sum(map(cost.state, range(4), y)) + sum(map(cost.control, range(3), u))
+        value, matrices, dldy, dldu = one_by_one(student, method, arguments, cost)
         compare.close("J", found[0], value, 1e-10)
-        dldy, dldu = np.array(list(map(cost.dldy, range(4), y))), np.array(list(map(cost.dldu, range(3), u)))
-        swept = student.call("adjoint", *map(np.array, zip(*matrices, strict=True)), dldy, dldu)
-        for name, theirs, apart in zip(("dJ/dy0", "dJ/du", "dJ/dp"), found[1:], swept, strict=True):
-            compare.close(f"{name}, beside your own functions one by one,", theirs, apart, 1e-10)
+        student.award(1 / 3)
+        apart = public.adjoint(student, matrices, dldy, dldu)
+        for name, theirs, expected in zip(("dJ/dy0", "dJ/du", "dJ/dp"), found[1:], apart, strict=True):
+            compare.close(f"{name}, beside your own functions one by one,", theirs, expected, 1e-10)
 
 
 @given(seed=SEEDS, steps=st.integers(3, 7), every=st.integers(2, 4), method=st.sampled_from(["symplectic", "backward"]))
 def test_checkpoints(student, seed, steps, every, method):
-    arguments, _ = some_flight(np.random.default_rng(seed), steps)
+    arguments, cost = some_flight(np.random.default_rng(seed), steps)
     found = four("checkpointed_gradient", student.call("checkpointed_gradient", method, *arguments, every), arguments)
-    whole = four("gradient", student.call("gradient", method, *arguments), arguments)
-    for name, few, all_states in zip(("J", "dJ/dy0", "dJ/du", "dJ/dp"), found, whole, strict=True):
-        compare.close(f"{name}, beside your own gradient,", few, all_states, 1e-12)
+    value, *rest = one_by_one(student, method, arguments, cost)
+    compare.close("J", found[0], value, 1e-12)
+    student.award(1 / 4)
+    for name, few, expected in zip(("dJ/dy0", "dJ/du", "dJ/dp"), found[1:], public.expected(*rest), strict=True):
+        compare.close(f"{name}, beside the gradient from all states,", few, expected, 1e-12)

@@ -81,10 +81,12 @@ def linearization(student, method, rng):
     found = student.call(f"{method}_linearization", theirs, y, one(body, y, u, p, h), p, h)
     shapes = {"A": (2 * n, 2 * n), "B": (2 * n, n), "C": (2 * n, len(p))}
     places = {"A": y, "B": u, "C": p}
-    for name, matrix in zip(shapes, parts(f"{method}_linearization", found, shapes), strict=True):
+    matrices = parts(f"{method}_linearization", found, shapes)
+    for name, matrix, part in zip(shapes, matrices, (0.5, 0.75, 0.75), strict=True):
         direction = rng.normal(size=matrix.shape[1])
         differences = slope(lambda z, n=name: one(body, *({**places, n: z}.values()), h), places[name], direction)
         compare.close(f"{name} of {method}_linearization", matrix @ direction, differences, TOLERANCE)
+        student.award(part)
 
 
 def test_symplectic_linearization(student):
