@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 from dsim import scenes
 from dsim.pictures.assignment_02 import springs
 from dsim.pictures.assignment_03 import implicit_steps
+from dsim.pictures.assignment_06 import quasistatics
 from dsim.pictures.style import COLOURS, canvas, label, style
 from dsim.simulation import simulate
 from dsim.steppers import ForwardEuler, SymplecticEuler
@@ -38,4 +39,5 @@ SUCCESS: dict[str, Callable[[], Figure]] = {
     "01": time_stepping,
     "02": springs,
     "03": implicit_steps,
+    "06": quasistatics,
 }
