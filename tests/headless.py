@@ -24,7 +24,8 @@ from typing import Any
 NAMES = ("chromium", "chromium-browser", "google-chrome")
 FLAGS = (
     "--headless --no-sandbox --disable-gpu --disable-quic --no-first-run --disable-background-networking "
-    "--disable-component-update --disable-sync --disable-dev-shm-usage --hide-scrollbars --allow-file-access-from-files "
+    "--disable-component-update --disable-sync --disable-dev-shm-usage --hide-scrollbars "
+    "--allow-file-access-from-files "
     "--remote-debugging-pipe"
 ).split()
 PATIENCE = 60.0  # seconds for any one answer; a browser that starts on a busy machine needs a few

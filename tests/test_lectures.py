@@ -105,7 +105,9 @@ def test_outputs_are_judged(tiny: folder.Lecture) -> None:
     """Mutation: a picture without a text, a warning, a path of this machine, too few pictures."""
     book = notebook.read(tiny)
     code = [cell for cell in book.cells if cell.cell_type == "code"]
-    code[0].outputs = [_as_notebook({"output_type": "display_data", "metadata": {}, "data": {"image/png": "AA" * 300_000}})]
+    code[0].outputs = [
+        _as_notebook({"output_type": "display_data", "metadata": {}, "data": {"image/png": "AA" * 300_000}})
+    ]
     code[1].outputs = [_as_notebook({"output_type": "stream", "name": "stderr", "text": f"see {Path.home()}"})]
     found = {check.statement for check in rules.check_outputs(tiny, book) if not check.passed}
     assert found == {"pictures", "bytes of the largest picture", "pictures with alternative texts", "outputs on stderr",
@@ -128,7 +130,7 @@ def test_a_false_assert_is_told_with_its_cell(tiny: folder.Lecture, capsys: pyte
 
 def test_what_is_no_lecture(tmp_path: Path, tiny: folder.Lecture) -> None:
     tiny.path.write_bytes(b"---\njupytext: [\n---\n\xff")
-    with pytest.raises(notebook.LectureError, match="01_tiny.md must be a MyST notebook"):
+    with pytest.raises(notebook.LectureError, match=r"01_tiny\.md must be a MyST notebook"):
         notebook.read(tiny)
     (tmp_path / "empty").mkdir()
     with pytest.raises(ValueError, match="--lectures must hold lectures"):
@@ -148,7 +150,7 @@ def test_the_commands(tiny: folder.Lecture, tmp_path: Path, monkeypatch: pytest.
         return result.exit_code, result.stdout
 
     assert run("list")[0] == 0 and "not built" in run("list")[1] and "Tiny" in run("list")[1]
-    code, out = run("build", "1", "--student", "--to", str(tmp_path / "out"))
+    code, _ = run("build", "1", "--student", "--to", str(tmp_path / "out"))
     assert code == 0 and "secret" not in (tmp_path / "out" / "01_tiny.ipynb").read_text()
     assert run("check", "1")[0] == 1  # no notebook beside the source
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
@@ -235,9 +237,16 @@ def test_pages_suit_phones_and_the_night(width: int, scheme: str, pages: Path, b
 @pytest.mark.slow
 def test_equations_search_and_folds_work(pages: Path, browser: headless.Pipe) -> None:
     page = pages / "lectures" / "02_stability.html"
-    drawn = headless.ask(browser, page, "new Promise(done => setTimeout(() => done(document.querySelectorAll('mjx-container').length), 2000))")
+    drawn = headless.ask(
+        browser,
+        page,
+        "new Promise(done => setTimeout(() => done(document.querySelectorAll('mjx-container').length), 2000))",
+    )
     assert drawn > 20
-    opened = "(() => { const d = document.querySelector('details'); const b = d.scrollHeight; d.open = true; return [b, d.scrollHeight]; })()"
+    opened = (
+        "(() => { const d = document.querySelector('details'); const b = d.scrollHeight;"
+        " d.open = true; return [b, d.scrollHeight]; })()"
+    )
     before, after = headless.ask(browser, page, opened)
     assert after > before
     found = headless.ask(

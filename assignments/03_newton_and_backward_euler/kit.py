@@ -1,6 +1,6 @@
 """What is given: problems to solve.
 
-Equations: functions that return (residual, jacobian) of z.  Motions: functions that return (force, stiffness, damping) of
+Equations: functions that return (residual, jacobian) of z.  Motions: functions that return (force, by_q, by_v) of
 (q, v): the force (n,) N and its derivatives by q and by v, (n, n).
 """
 

@@ -71,7 +71,10 @@ def execute(lecture: Lecture, notebook: Any) -> float:
     with TemporaryDirectory(prefix="dsim-lecture-") as directory:
         client = nbclient.NotebookClient(notebook, timeout=PATIENCE, resources={"metadata": {"path": directory}})
         try:
-            quiet = {"env": {**os.environ, **own}, "stderr": subprocess.DEVNULL}  # the kernel's, not the cells'
+            quiet: dict[str, Any] = {
+                "env": {**os.environ, **own},
+                "stderr": subprocess.DEVNULL,
+            }  # the kernel's, not the cells'
             asyncio.run(client.async_execute(**quiet))
         except (CellExecutionError, CellTimeoutError, DeadKernelError) as error:
             raise LectureError(f"{lecture.path.name}, {_place(notebook)}: {_last_line(error)}") from error

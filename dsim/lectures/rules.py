@@ -57,7 +57,9 @@ def check_outputs(lecture: Lecture, notebook: Any) -> Iterator[Check]:
                 f"< {MOST_PICTURE}")  # fmt: skip
     named = sum(bool(alt_of(picture)) for picture in pictures)
     yield Check(subject, "pictures with alternative texts", named == len(pictures), named, f"= {len(pictures)}")
-    text = "".join(str(output.get("text", "")) + str(output.get("data", {}).get("text/plain", "")) for output in outputs)
+    text = "".join(
+        str(output.get("text", "")) + str(output.get("data", {}).get("text/plain", "")) for output in outputs
+    )
     yield _true(subject, "nothing printed names a place on this machine", str(Path.home()) not in text)
     warned = [output for output in outputs if output.get("name") == "stderr"]
     yield Check(subject, "outputs on stderr", not warned, len(warned), "= 0")

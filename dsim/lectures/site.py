@@ -158,7 +158,16 @@ def _index(source: Path, lectures: Sequence[tuple[Lecture, Any]], handouts: Sequ
         lines += [hook(notebook), ""]
     lines += ["```{toctree}", ":caption: Lectures", ":hidden:", ""]
     lines += [f"lectures/{lecture.path.stem}" for lecture, _ in lectures]
-    lines += ["```", "", "```{toctree}", ":caption: Assignments", ":hidden:", "", *(name for name, _ in handouts), "```"]
+    lines += [
+        "```",
+        "",
+        "```{toctree}",
+        ":caption: Assignments",
+        ":hidden:",
+        "",
+        *(name for name, _ in handouts),
+        "```",
+    ]
     lines += ["", "```{toctree}", ":caption: Library", ":hidden:", "", "reference/index", "```", ""]
     (source / "index.md").write_text("\n".join(lines), encoding="utf-8")
 

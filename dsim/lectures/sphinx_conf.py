@@ -6,7 +6,7 @@ import re
 from typing import Any
 
 project = "dsim"
-copyright = "the authors of dsim, MIT License"  # noqa: A001  Sphinx's name
+copyright = "the authors of dsim, MIT License"
 extensions = ["sphinx.ext.autodoc", "sphinx.ext.mathjax", "myst_nb", "sphinx-mathjax-offline"]
 html_theme = "furo"
 html_title = "dsim: differentiable simulation"

@@ -124,7 +124,9 @@ def open_all(number: str, where: Path | None) -> int:
     lecture = folder.select(directory, [number])[0] if number else None
     if not os.access(directory, os.W_OK):
         copy = Path("dsim-lectures").resolve()
-        shutil.copytree(directory, copy, dirs_exist_ok=True, ignore=lambda folder, names: [n for n in names if (copy / n).exists()])
+        shutil.copytree(
+            directory, copy, dirs_exist_ok=True, ignore=lambda folder, names: [n for n in names if (copy / n).exists()]
+        )
         directory = copy
         console().print(f"your copy: {copy}", soft_wrap=True, markup=False)
     words = [sys.executable, "-m", "jupyterlab", *([str(directory / lecture.notebook.name)] if lecture else [])]

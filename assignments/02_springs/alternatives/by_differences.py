@@ -48,6 +48,7 @@ def slope(f, z, h):
 def stiffness_blocks(x, pairs, rest, k):
     d, blocks = x.shape[1], []
     for (i, j), r, ke in zip(pairs, rest, k):
+
         def force(xi, xj=x[j], r=r, ke=ke):
             length = np.linalg.norm(xi - xj)
             return -ke * (1 - r / length) * (xi - xj)

@@ -68,7 +68,7 @@ def assemble(blocks, pairs, count):
     """
     d = blocks.shape[1]
     matrix = np.zeros((count, d, count, d))
-    for block, (i, j) in zip(blocks, pairs):
+    for block, (i, j) in zip(blocks, pairs, strict=True):
         matrix[i, :, i, :] += block
         matrix[j, :, j, :] += block
         matrix[i, :, j, :] -= block

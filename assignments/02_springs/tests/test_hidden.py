@@ -47,7 +47,7 @@ def test_coincident(student, seed, dimension):
 def test_stiffness_blocks(student, seed, dimension):
     x, _, rest, k, _ = net(seed, dimension)
     found = matrix("stiffness_blocks", student.call("stiffness_blocks", x, PAIRS, rest, k), (7, dimension, dimension))
-    length, n = lengths(x)
+    _, n = lengths(x)
     along = np.einsum("ed,edf,ef->e", n, found, n)
     compare.close("the stiffness along each spring", along, -k, 1e-8)
     student.award(1 / 3)
@@ -94,6 +94,7 @@ def test_force_by_parameters(student, seed, dimension):
     found = student.call("force_by_parameters", x, PAIRS, rest, k)
     if not isinstance(found, tuple | list) or len(found) != 2:
         raise ItemLost("force_by_parameters must return the pair (F_k, F_rest)")
+
     def force(theta):
         springs = Springs(PAIRS, theta[:7], theta[7:])
         return System(np.ones(5), [springs], dimension).force(0.0, x.ravel(), v.ravel())

@@ -15,14 +15,18 @@ def net(seed, dimension=3):
 
 def test_energy(student):
     x, _, pairs, rest, k = net(1)
-    expected = sum(0.5 * ke * (np.linalg.norm(x[i] - x[j]) - r) ** 2 for (i, j), r, ke in zip(pairs, rest, k, strict=True))
+    expected = sum(
+        0.5 * ke * (np.linalg.norm(x[i] - x[j]) - r) ** 2 for (i, j), r, ke in zip(pairs, rest, k, strict=True)
+    )
     found = compare.number("energy", student.call("energy", x, pairs, rest, k))
     compare.at_most("the relative error of the energy", abs(found / expected - 1), 1e-12)
 
 
 def test_spring_forces(student):
     """One spring first; then many that share points."""
-    one = student.call("spring_forces", np.array([[0.0, 0.0], [2.0, 0.0]]), np.array([[0, 1]]), np.array([1.5]), np.array([4.0]))
+    one = student.call(
+        "spring_forces", np.array([[0.0, 0.0], [2.0, 0.0]]), np.array([[0, 1]]), np.array([1.5]), np.array([4.0])
+    )
     compare.close("the force of one spring", one, [[2.0, 0.0], [-2.0, 0.0]], 1e-12)
     student.award(1 / 3)
     x, _, pairs, rest, k = net(2)

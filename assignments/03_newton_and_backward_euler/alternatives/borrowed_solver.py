@@ -56,7 +56,8 @@ def backward_euler(motion, masses, q0, v0, h):
         tol=1e-14,
     )
     v, _ = newton(
-        (lambda v: step_residual(motion, masses, q0, v0, h, v), lambda v: step_matrix(motion, masses, q0, v0, h, v)), found.x
+        (lambda v: step_residual(motion, masses, q0, v0, h, v), lambda v: step_matrix(motion, masses, q0, v0, h, v)),
+        found.x,
     )
     return q0 + h * v, v
 

@@ -55,7 +55,10 @@ def step_matrix(motion, masses, q0, v0, h, v):
 
 
 def backward_euler(motion, masses, q0, v0, h):
-    equation = (lambda v: step_residual(motion, masses, q0, v0, h, v)), (lambda v: step_matrix(motion, masses, q0, v0, h, v))
+    equation = (
+        (lambda v: step_residual(motion, masses, q0, v0, h, v)),
+        (lambda v: step_matrix(motion, masses, q0, v0, h, v)),
+    )
     v = careful_newton(equation, v0, tol=1e-12)[0]
     return q0 + h * v, v
 

@@ -76,8 +76,13 @@ def step_matrix(motion, masses, q0, v0, h, v):
 
 def backward_euler(motion, masses, q0, v0, h):
     """(q1, v1) after one step of backward Euler, solved by Newton to a correction of 1e-10 from the guess v0."""
-    residual = lambda v: step_residual(motion, masses, q0, v0, h, v)
-    jacobian = lambda v: step_matrix(motion, masses, q0, v0, h, v)
+
+    def residual(v):
+        return step_residual(motion, masses, q0, v0, h, v)
+
+    def jacobian(v):
+        return step_matrix(motion, masses, q0, v0, h, v)
+
     v, _ = newton((residual, jacobian), v0)
     return q0 + h * v, v
 
@@ -93,5 +98,5 @@ def simulate(motion, masses, q0, v0, h, steps):
 
 
 def two_step(motion, masses, q_before, q0, h):
-    """The next position q1 (n,) of M (q1 - 2 q0 + q_before) = h^2 f(q1, (q1 - q0)/h): backward Euler without velocities."""
+    """q1 (n,) of M (q1 - 2 q0 + q_before) = h^2 f(q1, (q1 - q0)/h): backward Euler without velocities."""
     return backward_euler(motion, masses, q0, (q0 - q_before) / h, h)[0]

@@ -8,7 +8,11 @@ from dsim.grading.student import ItemLost, kit_function
 
 def answer(value):
     """Your (z, converged)."""
-    if not isinstance(value, tuple | list) or len(value) != 2 or not isinstance(value[1], bool | np.bool_ | int | np.ndarray):
+    if (
+        not isinstance(value, tuple | list)
+        or len(value) != 2
+        or not isinstance(value[1], bool | np.bool_ | int | np.ndarray)
+    ):
         raise ItemLost("newton must return the pair (z, converged), converged True or False")
     return value[0], bool(value[1])
 
@@ -21,11 +25,15 @@ def test_newton_step(student):
     jacobian = np.array([[1.0, 3 * 0.8 * 0.49], [-3 * 0.8 * 0.25, 1.0]])
     residual = np.array([0.5 + 0.8 * 0.343 - 1, 0.7 - 0.8 * 0.125])
     found = student.call("newton_step", kit_function("coupled", strength=0.8), z)
-    compare.close("one step with a Jacobian that is not symmetric", found, z - np.linalg.solve(jacobian, residual), 1e-12)
+    compare.close(
+        "one step with a Jacobian that is not symmetric", found, z - np.linalg.solve(jacobian, residual), 1e-12
+    )
 
 
 def test_newton(student):
-    z, converged = answer(student.call("newton", kit_function("root", power=2, target=[2.0, 9.0]), np.array([1.0, 5.0])))
+    z, converged = answer(
+        student.call("newton", kit_function("root", power=2, target=[2.0, 9.0]), np.array([1.0, 5.0]))
+    )
     compare.close("the roots of 2 and 9", z, [np.sqrt(2), 3.0], 1e-12)
     if not converged:
         raise ItemLost("converged must be True where the last correction was small")
