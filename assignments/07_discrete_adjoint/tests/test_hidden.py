@@ -69,24 +69,24 @@ def test_adjoint_parameters(student, seed):
 
 
 def some_flight(rng, steps):
-    """Arguments of `gradient` after the method: body, cost, y0, u, p, h; and the cost here, for values."""
+    """Arguments of `gradient` after the method: problem, y0, u, p; and the cost here, for values."""
     body, _, p, n = public.some_body(rng)
     y0, u, h = rng.normal(size=2 * n), rng.normal(size=(steps, n)), float(rng.uniform(0.05, 0.2))
     numbers = {
         "path": rng.normal(size=(steps + 1, 2 * n)), "weight": rng.uniform(0.5, 2.0, steps + 1), "price": 0.7
     }  # fmt: skip
-    return (body, kit_function("tracking", **numbers), y0, u, p, h), public.kit.tracking(**numbers)
+    return ((body, kit_function("tracking", **numbers), h), y0, u, p), public.kit.tracking(**numbers)
 
 
 def four(name, value, arguments):
     """J and the three gradients."""
-    _, _, y0, u, p, _ = arguments
+    _, y0, u, p = arguments
     return public.parts(name, value, {"J": (), "dJ/dy0": y0.shape, "dJ/du": u.shape, "dJ/dp": p.shape})
 
 
 def one_by_one(student, method, arguments, cost):
     """Their own steps and linearizations: J, (A, B, C), dldy, dldu.  A mistake in these costs their own items only."""
-    body, _, y0, u, p, h = arguments
+    (body, _, h), y0, u, p = arguments
     n, y, found = len(y0) // 2, [y0], []
     shapes = {"A": (2 * n, 2 * n), "B": (2 * n, n), "C": (2 * n, len(p))}
     for control in u:
