@@ -9,6 +9,7 @@ from matplotlib.figure import Figure
 
 from dsim import scenes
 from dsim.pictures.assignment_06 import quasistatics
+from dsim.pictures.assignment_07 import discrete_adjoint
 from dsim.pictures.style import COLOURS, canvas, label, style
 from dsim.simulation import simulate
 from dsim.steppers import ForwardEuler, SymplecticEuler
@@ -36,4 +37,5 @@ def time_stepping() -> Figure:
 SUCCESS: dict[str, Callable[[], Figure]] = {
     "01": time_stepping,
     "06": quasistatics,
+    "07": discrete_adjoint,
 }
