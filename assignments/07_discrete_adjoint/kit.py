@@ -34,7 +34,7 @@ class Swimmer:
 
 
 class Pendulums:
-    """Pendulums of unequal masses in a row, x their angles, each tied to its neighbours; p = (weight, tie, friction)."""
+    """Pendulums of unequal masses in a row, x their angles, each tied to the next; p = (weight, tie, friction)."""
 
     def __init__(self, count):
         self.mass = 1.0 + 0.5 * np.arange(count)

@@ -103,8 +103,12 @@ def adjoint(A, B, C, dldy, dldu):
     # END SOLUTION
 
 
-def gradient(method, body, cost, y0, u, p, h):
-    """(J, dJ/dy0 (2n,), dJ/du (N, n), dJ/dp (P,)) of the cost of a whole trajectory; method as in STEPS."""
+def gradient(method, problem, y0, u, p):
+    """(J, dJ/dy0 (2n,), dJ/du (N, n), dJ/dp (P,)) of a whole trajectory.
+
+    method: a name in STEPS.  problem: body, cost and h.
+    """
+    body, cost, h = problem
     # BEGIN SOLUTION: simulate, linearize every step, sum up the cost, sweep back
     y = simulate(method, body, y0, u, p, h)
     steps = range(len(u))
@@ -116,11 +120,12 @@ def gradient(method, body, cost, y0, u, p, h):
     # END SOLUTION
 
 
-def checkpointed_gradient(method, body, cost, y0, u, p, h, every):
+def checkpointed_gradient(method, problem, y0, u, p, every):
     """The same four as `gradient`, to 1e-12, from the states 0, every, 2 every, ... alone.
 
     The states between are computed again, one segment at a time, the last segment first; it may be a short one.
     """
+    body, cost, h = problem
     # BEGIN SOLUTION: forward, keeping few states; then, segment by segment from the end, simulate again and sweep
     y, kept, value = y0, {}, 0.0
     for k in range(len(u)):

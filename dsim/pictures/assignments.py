@@ -11,6 +11,7 @@ from dsim import scenes
 from dsim.pictures.assignment_02 import springs
 from dsim.pictures.assignment_03 import implicit_steps
 from dsim.pictures.assignment_06 import quasistatics
+from dsim.pictures.assignment_07 import discrete_adjoint
 from dsim.pictures.style import COLOURS, canvas, label, style
 from dsim.simulation import simulate
 from dsim.steppers import ForwardEuler, SymplecticEuler
@@ -40,4 +41,5 @@ SUCCESS: dict[str, Callable[[], Figure]] = {
     "02": springs,
     "03": implicit_steps,
     "06": quasistatics,
+    "07": discrete_adjoint,
 }

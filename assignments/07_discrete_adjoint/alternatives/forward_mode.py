@@ -86,8 +86,8 @@ def adjoint(A, B, C, dldy, dldu):
     return everything(zip(A, B, C, strict=True), dldy, dldu, C.shape[2])
 
 
-def gradient(method, body, cost, y0, u, p, h):
-    step, linearized = STEPS[method]
+def gradient(method, problem, y0, u, p):
+    (step, linearized), (body, cost, h) = STEPS[method], problem
     y, triples, dldy, dldu, value = y0, [], [], [], 0.0
     for k, control in enumerate(u):
         value += cost.state(k, y) + cost.control(k, control)
@@ -101,6 +101,6 @@ def gradient(method, body, cost, y0, u, p, h):
     return value, *everything(triples, np.array(dldy), np.array(dldu), len(p))
 
 
-def checkpointed_gradient(method, body, cost, y0, u, p, h, every):
+def checkpointed_gradient(method, problem, y0, u, p, every):
     """Sensitivities run forward with the states, so that nothing need be kept at all."""
-    return gradient(method, body, cost, y0, u, p, h)
+    return gradient(method, problem, y0, u, p)

@@ -78,7 +78,8 @@ def adjoint(A, B, C, dldy, dldu):
     return lam[0], np.array(by_control), sum(lam[k + 1] @ C[k] for k in range(len(A)))
 
 
-def gradient(method, body, cost, y0, u, p, h):
+def gradient(method, problem, y0, u, p):
+    body, cost, h = problem
     states, triples, value = [y0], [], 0.0
     for k, control in enumerate(u):
         value += cost.state(k, states[-1]) + cost.control(k, control)
@@ -91,9 +92,10 @@ def gradient(method, body, cost, y0, u, p, h):
     return [value, *adjoint(A, B, C, dldy, dldu)]
 
 
-def checkpointed_gradient(method, body, cost, y0, u, p, h, every):
+def checkpointed_gradient(method, problem, y0, u, p, every):
     """From kept states, a state at a time: each is computed again from the last one that was kept."""
-    kept = [y0]
+    body, cost, h = problem
+    kept, y = [y0], y0
     for k, control in enumerate(u):
         nearest = kept[-1] if k % every == 0 else y
         y = step(method, body, nearest, control, p, h)

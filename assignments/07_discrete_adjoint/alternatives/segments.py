@@ -68,28 +68,29 @@ def adjoint(A, B, C, dldy, dldu):
     return lam[0], np.einsum("kij,ki->kj", B, lam[1:]) + dldu, np.tensordot(C, lam[1:], axes=((0, 1), (0, 1)))
 
 
-def back(method, body, cost, y, u, p, h, first, last):
-    """(mu -> mu, dJ/du, dJ/dp) of the steps u from y, by halves; first: the number of the first step."""
-    step, linearized = of(method)
+def back(method, problem, y, u, p, seam):
+    """(mu -> mu, dJ/du, dJ/dp) of the steps u from y, by halves; seam: the first step, mu at the end."""
+    (step, linearized), (body, cost, h), (first, last) = of(method), problem, seam
     if len(u) == 1:
         A, B, C = linearized(body, y, step(body, y, u[0], p, h), p, h)
         return cost.dldy(first, y) + A.T @ last, [cost.dldu(first, u[0]) + B.T @ last], C.T @ last
     half, middle = len(u) // 2, y
     for control in u[:half]:
         middle = step(body, middle, control, p, h)
-    mu, late, by_late = back(method, body, cost, middle, u[half:], p, h, first + half, last)
-    mu, early, by_early = back(method, body, cost, y, u[:half], p, h, first, mu)
+    mu, late, by_late = back(method, problem, middle, u[half:], p, (first + half, last))
+    mu, early, by_early = back(method, problem, y, u[:half], p, (first, mu))
     return mu, early + late, by_early + by_late
 
 
-def checkpointed_gradient(method, body, cost, y0, u, p, h, every):
+def checkpointed_gradient(method, problem, y0, u, p, every):
+    body, cost, h = problem
     y, value = y0, 0.0
     for k in range(len(u)):
         value += cost.control(k, u[k]) + cost.state(k, y)
         y = of(method)[0](body, y, u[k], p, h)
-    mu, by_control, by_parameter = back(method, body, cost, y0, u, p, h, 0, cost.dldy(len(u), y))
+    mu, by_control, by_parameter = back(method, problem, y0, u, p, (0, cost.dldy(len(u), y)))
     return value + cost.state(len(u), y), mu, np.array(by_control), by_parameter
 
 
-def gradient(method, body, cost, y0, u, p, h):
-    return checkpointed_gradient(method, body, cost, y0, u, p, h, 1)
+def gradient(method, problem, y0, u, p):
+    return checkpointed_gradient(method, problem, y0, u, p, 1)

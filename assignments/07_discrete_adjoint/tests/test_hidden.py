@@ -14,7 +14,7 @@ spec = importlib.util.spec_from_file_location("public_07", Path(__file__).with_n
 public = importlib.util.module_from_spec(spec)
 spec.loader.exec_module(public)
 
-SEEDS = st.integers(0, 2**31)
+SEEDS, METHODS = st.integers(0, 2**31), st.sampled_from(["symplectic", "backward"])
 
 
 @given(seed=SEEDS)
@@ -69,24 +69,24 @@ def test_adjoint_parameters(student, seed):
 
 
 def some_flight(rng, steps):
-    """Arguments of `gradient` after the method: body, cost, y0, u, p, h; and the cost here, for values."""
+    """Arguments of `gradient` after the method: problem, y0, u, p; and the cost here, for values."""
     body, _, p, n = public.some_body(rng)
     y0, u, h = rng.normal(size=2 * n), rng.normal(size=(steps, n)), float(rng.uniform(0.05, 0.2))
     numbers = {
         "path": rng.normal(size=(steps + 1, 2 * n)), "weight": rng.uniform(0.5, 2.0, steps + 1), "price": 0.7
     }  # fmt: skip
-    return (body, kit_function("tracking", **numbers), y0, u, p, h), public.kit.tracking(**numbers)
+    return ((body, kit_function("tracking", **numbers), h), y0, u, p), public.kit.tracking(**numbers)
 
 
 def four(name, value, arguments):
     """J and the three gradients."""
-    _, _, y0, u, p, _ = arguments
+    _, y0, u, p = arguments
     return public.parts(name, value, {"J": (), "dJ/dy0": y0.shape, "dJ/du": u.shape, "dJ/dp": p.shape})
 
 
 def one_by_one(student, method, arguments, cost):
     """Their own steps and linearizations: J, (A, B, C), dldy, dldu.  A mistake in these costs their own items only."""
-    body, _, y0, u, p, h = arguments
+    (body, _, h), y0, u, p = arguments
     n, y, found = len(y0) // 2, [y0], []
     shapes = {"A": (2 * n, 2 * n), "B": (2 * n, n), "C": (2 * n, len(p))}
     for control in u:
@@ -98,21 +98,19 @@ def one_by_one(student, method, arguments, cost):
     return value, [np.array(matrices) for matrices in zip(*found, strict=True)], dldy, dldu
 
 
-@given(seed=SEEDS)
-def test_gradient(student, seed):
-    rng = np.random.default_rng(seed)
-    for method in ("symplectic", "backward"):
-        arguments, cost = some_flight(rng, 3)
-        found = four("gradient", student.call("gradient", method, *arguments), arguments)
-        value, matrices, dldy, dldu = one_by_one(student, method, arguments, cost)
-        compare.close("J", found[0], value, 1e-10)
-        student.award(1 / 3)
-        apart = public.adjoint(student, matrices, dldy, dldu)
-        for name, theirs, expected in zip(("dJ/dy0", "dJ/du", "dJ/dp"), found[1:], apart, strict=True):
-            compare.close(f"{name}, beside your own functions one by one,", theirs, expected, 1e-10)
+@given(seed=SEEDS, method=METHODS)
+def test_gradient(student, seed, method):
+    arguments, cost = some_flight(np.random.default_rng(seed), 3)
+    found = four("gradient", student.call("gradient", method, *arguments), arguments)
+    value, matrices, dldy, dldu = one_by_one(student, method, arguments, cost)
+    compare.close("J", found[0], value, 1e-10)
+    student.award(1 / 3)
+    apart = public.adjoint(student, matrices, dldy, dldu)
+    for name, theirs, expected in zip(("dJ/dy0", "dJ/du", "dJ/dp"), found[1:], apart, strict=True):
+        compare.close(f"{name}, beside your own functions one by one,", theirs, expected, 1e-10)
 
 
-@given(seed=SEEDS, steps=st.integers(3, 7), every=st.integers(2, 4), method=st.sampled_from(["symplectic", "backward"]))
+@given(seed=SEEDS, steps=st.integers(3, 7), every=st.integers(2, 4), method=METHODS)
 def test_checkpoints(student, seed, steps, every, method):
     arguments, cost = some_flight(np.random.default_rng(seed), steps)
     found = four("checkpointed_gradient", student.call("checkpointed_gradient", method, *arguments, every), arguments)

@@ -37,6 +37,8 @@ def backward(body, y, u, p, h):
     for _ in range(12):
         x, v = np.split(new, 2)
         wrong = np.append(x - y[:n] - h * v, mass @ (v - y[n:]) - h * (body.force(x, v, p) + u))
+        if np.abs(wrong).max() < 1e-13:
+            break
         new = new - np.linalg.solve(np.block([[one, -h * one], [-h * K(x, v, p), mass - h * D(x, v, p)]]), wrong)
     return new
 
