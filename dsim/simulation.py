@@ -92,9 +92,10 @@ class Trajectory:
 
     @property
     def n(self) -> int:
+        """Length of q; of bodies, whose quaternions count."""
         if self.system is None:
             return self.y.shape[1] // 2
-        return self.system.n
+        return self.system.width
 
     @property
     def q(self) -> Array:

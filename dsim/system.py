@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -72,8 +72,8 @@ class System:
         dimension = as_count("dimension", self.dimension, least=1)
         if not len(mass):
             raise ValueError("mass must have at least one point; got shape (0,)")
-        fixed = _as_fixed(self.fixed, len(mass))
-        effects = tuple(_bound(effect, mass, dimension) for effect in _as_effects(self.effects))
+        fixed = as_fixed(self.fixed, len(mass))
+        effects = tuple(_bound(effect, mass, dimension) for effect in as_effects(self.effects))
         free = np.ones((len(mass), dimension))
         free[list(fixed)] = 0.0
         values = {
@@ -85,11 +85,13 @@ class System:
         }
         for name, value in values.items():
             object.__setattr__(self, name, value)
-        object.__setattr__(self, "layout", _layout(mass, effects))
+        object.__setattr__(self, "layout", layout_of(self.own, effects))
 
     # Sizes and states
 
     components = 2  # a state is (q, v)
+    curved = False  # positions add; those of rigid bodies do not
+    OF_MASS = ("masses",)  # cached properties that change with the system's own parameters
 
     @property
     def n(self) -> int:
@@ -97,13 +99,18 @@ class System:
         return len(self.mass) * self.dimension
 
     @property
+    def width(self) -> int:
+        """Length of q."""
+        return self.n
+
+    @property
     def size(self) -> int:
         """Length of y = [q, v]."""
-        return 2 * self.n
+        return self.width + self.n
 
     def blocks(self, y: Array) -> tuple[Array, Array]:
         """y (2n,) -> q and v (n,), the velocity of pinned points taken as 0; y (2n,k) in the same way."""
-        return y[: self.n], (y[self.n :].T * self.free).T
+        return y[: self.width], (y[self.width :].T * self.free).T
 
     @cached_property
     def masses(self) -> Array:
@@ -118,7 +125,8 @@ class System:
     def theta(self) -> Array:
         """Every differentiable parameter, flat (P,): mass first, then the effects' in their order."""
         theta = np.empty(self.parameter_count)
-        theta[: len(self.mass)] = self.mass
+        for name, place in self.own.items():
+            theta[place] = np.ravel(getattr(self, name))
         for effect, parameters in zip(self.effects, self.layout, strict=True):
             for p in parameters:
                 theta[p.place] = np.ravel(getattr(effect, p.label))
@@ -128,16 +136,22 @@ class System:
     @property
     def parameter_count(self) -> int:
         """P."""
-        return max([len(self.mass), *(p.place.stop for parameters in self.layout for p in parameters)])
+        own = (place.stop for place in self.own.values())
+        return max([*own, *(p.place.stop for parameters in self.layout for p in parameters)])
+
+    @property
+    def own(self) -> dict[str, slice]:
+        """The parameters of the system itself, and their places in theta."""
+        return {"mass": slice(0, len(self.mass))}
 
     def split(self, theta: Array) -> dict[str, Array]:
         """theta (P,) -> {"mass": (N,), "springs.stiffness": (E,), ...}; gradients split the same way."""
         theta = np.asarray(theta)
         if theta.shape != (self.parameter_count,):
             raise ValueError(f"theta must have shape ({self.parameter_count},); got {theta.shape}")
-        parts = {"mass": theta[: len(self.mass)]}
+        parts = {name: theta[place].reshape(np.shape(getattr(self, name))) for name, place in self.own.items()}
         for effect, parameters in zip(self.effects, self.layout, strict=True):
-            named = (p for p in parameters if p.label != "mass")
+            named = (p for p in parameters if p.label not in parts)
             parts.update({f"{effect.name}.{p.label}": theta[p.place].reshape(p.shape) for p in named})
         return parts
 
@@ -157,12 +171,13 @@ class System:
         Only shapes and finiteness are checked: a finite difference at stiffness 0 may step below it.
         """
         theta = as_array("theta", theta, (self.parameter_count,))
-        mass = theta[: len(self.mass)]
+        own = {name: theta[place].reshape(np.shape(getattr(self, name))) for name, place in self.own.items()}
         effects = []
         for effect, parameters in zip(self.effects, self.layout, strict=True):
             values = {p.label: theta[p.place].reshape(p.shape) for p in parameters}
-            effects.append(replace(effect, **values) if values else effect)
-        return _fresh(self, mass=mass, effects=tuple(effects))
+            exchanged = getattr(effect, "exchanged", None) or partial(replace, effect)
+            effects.append(exchanged(**values) if values else effect)
+        return _fresh(self, **own, effects=tuple(effects))
 
     def without(self, *names: str) -> System:
         """The system with some effects left out.  Raises ValueError for a name it does not have."""
@@ -177,7 +192,7 @@ class System:
         """The system of one step: every effect with discrete choices makes them here."""
         if not any(hasattr(effect, "at") for effect in self.effects):
             return self
-        q = y[: self.n]
+        q = y[: self.width]
         return _fresh(self, effects=tuple(e.at(t, q, h) if hasattr(e, "at") else e for e in self.effects))
 
     # Forces and their derivatives: sums over exactly the effects that have the capability
@@ -207,7 +222,7 @@ class System:
 
     def kinetic(self, v: Array) -> float:
         """v^T M v / 2, J."""
-        return 0.5 * float(v @ (self.masses * v))
+        return 0.5 * float(v @ self.momentum(v))
 
     def energy(self, t: float, y: Array) -> float:
         """Kinetic plus potential energy, J."""
@@ -295,6 +310,24 @@ class System:
         """The effects whose second derivatives come from finite differences (nine to ten digits)."""
         return tuple(effect.name for effect in self.effects if is_differenced(effect))
 
+    # How a rule's outcome becomes a state: here by doing nothing (`steppers.charts` has the others)
+
+    def leave(self, parts: Any) -> Array:
+        """(q, v) -> y."""
+        return np.concatenate(list(parts))
+
+    def leave_tangent(self, parts: Any, dparts: Any, start: Any) -> Array:
+        return np.concatenate(list(dparts))
+
+    def leave_vjp(self, parts: Any, mu: Array) -> tuple[Array, float]:
+        return mu.reshape(2, self.n, *mu.shape[1:]), 0.0
+
+    def carry(self, place: Any, dplace: Any, start: Any) -> Any:
+        return dplace
+
+    def carry_vjp(self, place: Any, bars: Any) -> tuple[Any, float]:
+        return bars, 0.0
+
     # The operations of a stage k = M^-1 f(t, q, v), pinned entries 0
 
     def flow(self, t: float, y: Array) -> Array:
@@ -304,18 +337,18 @@ class System:
 
     def rate(self, t: float, q: Array, v: Array) -> Array:
         """Acceleration M^-1 f (n,) m/s^2, 0 at pinned points."""
-        return self.free * self.force(t, q, v) / self.masses
+        return self.stage_solve(self.free * self.force(t, q, v))
 
     def stage_residual(self, k: Array, t: float, q: Array, v: Array) -> Array:
         """M k - f(t, q, v), N; pinned rows read M k = 0."""
-        return self.masses * k - self.free * self.force(t, q, v)
+        return self.momentum(k) - self.free * self.force(t, q, v)
 
     def stage_matrix(self, t: float, place: tuple[Any, ...], weights: tuple[float, float]) -> Any:
         """M - b K - c D, for a stage at q = q_s + b k, v = v_s + c k; pinned rows and columns are those of M.
 
         Dense where a dense factorization is quicker, else CSR.
         """
-        terms = [(1.0, diagonal(self.masses))]
+        terms = [(1.0, self.mass_matrix)]
         for weight, capability in zip(weights, ("dq", "dv"), strict=True):
             for effect in self.having(capability) if weight else ():
                 terms.append((-weight, self.jacobian(effect, capability, (t, *place))))
@@ -357,6 +390,33 @@ class System:
         """M^-1 w, w (n,) or (n,k)."""
         return (w.T / self.masses).T
 
+    # Products with M and with its derivatives
+
+    @property
+    def mass_matrix(self) -> csr_array:
+        """M, CSR (n,n)."""
+        return diagonal(self.masses)
+
+    def momentum(self, v: Array) -> Array:
+        """M v (n,)."""
+        return self.masses * v
+
+    def momentum_dtheta(self, v: Array) -> csr_array:
+        """d(M v)/dtheta, CSR (n,P)."""
+        from scipy.sparse import csr_array
+
+        points = np.repeat(np.arange(len(self.mass)), self.dimension)
+        return csr_array((v, (np.arange(self.n), points)), shape=(self.n, self.parameter_count))
+
+    def momentum_tangent(self, v: Array, dtheta: Array) -> Array:
+        """dM v from dtheta (P,), or from columns of them."""
+        change: Array = (v * np.repeat(dtheta[: len(self.mass)], self.dimension, axis=0).T).T
+        return change
+
+    def momentum_vjp(self, v: Array, w: Array, theta_bar: Array) -> None:
+        """Adds (d(M v)/dtheta)^T w into theta_bar."""
+        theta_bar[: len(self.mass)] += (v * w).reshape(len(self.mass), -1).sum(axis=1)
+
     def stage_partials(self, t: float, q: Array, v: Array) -> tuple[csr_array, csr_array]:
         """d(M k)/dq and d(M k)/dv, CSR (n,n), pinned rows 0."""
         from scipy.sparse import csr_array
@@ -368,9 +428,7 @@ class System:
         """df/dtheta - k dM/dtheta, CSR (n,P), pinned rows 0."""
         from scipy.sparse import csr_array
 
-        points = np.repeat(np.arange(len(self.mass)), self.dimension)
-        inertia = csr_array((k, (np.arange(self.n), points)), shape=(self.n, self.parameter_count))
-        return csr_array(diagonal(self.free) @ self.dtheta(t, *place) - inertia)
+        return csr_array(diagonal(self.free) @ self.dtheta(t, *place) - self.momentum_dtheta(k))
 
     def stage_tangent(
         self, t: float, place: tuple[Array, Array], k: Array, dplace: tuple[Array, Array], dtheta: Array
@@ -383,15 +441,14 @@ class System:
                 total += self.jacobian(effect, capability, (t, *place)) @ change
         for effect, places in self._differentiable():
             total += effect.dtheta(t, *place) @ dtheta[places]
-        inertia = k * np.repeat(dtheta[: len(self.mass)], self.dimension, axis=0).T
-        return (self.free * total.T - inertia).T
+        return (self.free * total.T).T - self.momentum_tangent(k, dtheta)
 
     def stage_vjp(
         self, t: float, place: tuple[Array, Array], k: Array, w: Array, theta_bar: Array
     ) -> tuple[Array, Array]:
         """Transposed `stage_partials` times w; transposed `stage_dtheta` times w is added into theta_bar."""
         w = self.free * w
-        theta_bar[: len(self.mass)] -= (k * w).reshape(len(self.mass), -1).sum(axis=1)
+        self.momentum_vjp(k, -w, theta_bar)
         return self.vjp(t, *place, w, theta_bar)
 
     def stage_curvature(
@@ -400,9 +457,9 @@ class System:
         """The derivative of `stage_vjp`, and of its M^T w, along change = (dk, (dq, dv), dtheta) at fixed w: (dM^T w,
         (d(M k)/dq^T w, d(M k)/dv^T w)); the change of the parameters' gradient is added into theta_bar."""
         dk, dplace, dtheta = change
-        inertia = np.repeat(dtheta[: len(self.mass)], self.dimension) * w
+        inertia = self.momentum_tangent(w, dtheta)
         w = self.free * w
-        theta_bar[: len(self.mass)] -= (dk * w).reshape(len(self.mass), -1).sum(axis=1)
+        self.momentum_vjp(dk, -w, theta_bar)
         return inertia, self.curvature(t, place, w, (*dplace, dtheta), theta_bar)
 
     def stage_energy(self, t: float, weights: tuple[float, float]) -> Callable[[Array, Array], float] | None:
@@ -410,7 +467,7 @@ class System:
         b, _ = weights
         if not self.conservative or b <= 0 or self.having("dv"):
             return None
-        return lambda k, q: 0.5 * float(k @ (self.masses * k)) + self.potential(t, q) / b
+        return lambda k, q: 0.5 * float(k @ self.momentum(k)) + self.potential(t, q) / b
 
 
 def _key(weights: tuple[float, float]) -> tuple[bool, ...]:
@@ -421,9 +478,8 @@ def _key(weights: tuple[float, float]) -> tuple[bool, ...]:
 def _fresh(system: System, **values: Any) -> System:
     """A copy without the cached properties of the original."""
     twin = replace(system, **values)
-    for cached in ("theta", "masses"):
-        if not (cached == "masses" and "mass" not in values):
-            twin.__dict__.pop(cached, None)
+    for cached in ("theta", *(system.OF_MASS if "mass" in values else ())):
+        twin.__dict__.pop(cached, None)
     return twin
 
 
@@ -457,7 +513,7 @@ def _bound(effect: Any, mass: Array, dimension: int) -> Effect:
     return bound
 
 
-def _as_effects(effects: Any) -> tuple[Effect, ...]:
+def as_effects(effects: Any) -> tuple[Effect, ...]:
     effects = tuple(effects) if isinstance(effects, Iterable) else (effects,)
     for effect in effects:
         if not isinstance(effect, Effect) or isinstance(effect, type):
@@ -473,7 +529,7 @@ def _as_effects(effects: Any) -> tuple[Effect, ...]:
     return effects
 
 
-def _as_fixed(fixed: Sequence[int] | NDArray[np.int64], count: int) -> tuple[int, ...]:
+def as_fixed(fixed: Sequence[int] | NDArray[np.int64], count: int) -> tuple[int, ...]:
     try:
         indices = np.atleast_1d(fixed) if np.size(fixed) else np.empty(0, dtype=int)
     except ValueError as error:  # rows of different lengths
@@ -487,15 +543,17 @@ def _as_fixed(fixed: Sequence[int] | NDArray[np.int64], count: int) -> tuple[int
     return tuple(found)
 
 
-def _layout(mass: Array, effects: tuple[Effect, ...]) -> tuple[tuple[_Parameter, ...], ...]:
-    layout, start = [], len(mass)
+def layout_of(owned: dict[str, slice], effects: tuple[Effect, ...]) -> tuple[tuple[_Parameter, ...], ...]:
+    layout, start = [], max(place.stop for place in owned.values())
     for effect in effects:
         entries, own = [], 0
         for label in getattr(effect, "parameters", ()):
             shape = np.shape(getattr(effect, label))
             size = int(np.prod(shape))
-            place = slice(0, size) if label == "mass" else slice(start, start + size)
-            start += 0 if label == "mass" else size
+            place = owned.get(label, slice(start, start + size))
+            if label == "mass" and (part := getattr(effect, "masses", None)) is not None:  # of a part of the system
+                place = slice(*part.indices(place.stop))
+            start += 0 if label in owned else size
             entries.append(_Parameter(label, shape, slice(own, own + size), place))
             own += size
         layout.append(tuple(entries))
@@ -515,6 +573,7 @@ class Flow:
     jacobian: Callable[[float, Array], Any] | None = None
 
     components = 1
+    curved = False
     parameter_count = 0
     theta = np.zeros(0)
 
@@ -528,6 +587,8 @@ class Flow:
     @property
     def n(self) -> int:
         return self.size
+
+    width = n
 
     @property
     def differenced(self) -> bool:
@@ -553,6 +614,22 @@ class Flow:
         return value
 
     flow = rate
+
+    def leave(self, parts: Any) -> Array:
+        """The state is its only block."""
+        return np.asarray(parts[0])
+
+    def leave_tangent(self, parts: Any, dparts: Any, start: Any) -> Array:
+        return np.asarray(dparts[0])
+
+    def leave_vjp(self, parts: Any, mu: Array) -> tuple[Any, float]:
+        return (mu,), 0.0
+
+    def carry(self, place: Any, dplace: Any, start: Any) -> Any:
+        return dplace
+
+    def carry_vjp(self, place: Any, bars: Any) -> tuple[Any, float]:
+        return bars, 0.0
 
     def matrix(self, t: float, y: Array) -> Array:
         """dphi/dy (ny,ny)."""

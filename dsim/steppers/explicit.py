@@ -33,6 +33,7 @@ class RK4(RuleStepper):
 
     order = 4
     frequency_limit = math.sqrt(8.0)
+    rotation = "ambient"
 
     def rule(self, y: Any, phi: Any, t: float, h: float) -> Any:
         k1 = phi(t, y[0])
@@ -40,3 +41,13 @@ class RK4(RuleStepper):
         k3 = phi(t + h / 2, y[0] + h / 2 * k2)
         k4 = phi(t + h, y[0] + h * k3)
         return y[0] + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+
+
+@dataclass(frozen=True)
+class RKMK4(RK4):
+    """RK4 in coordinates xi around the start of each step, q = q0 (x) exp(xi), xi' = dexp^-1(xi) v.  Order 4.
+
+    For points it is RK4; bodies stay on their sphere of unit quaternions.  Munthe-Kaas, BIT 38 (1998).
+    """
+
+    rotation = "lie"

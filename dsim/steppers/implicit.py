@@ -12,10 +12,12 @@ from dsim.steppers.rule import ImplicitRuleStepper
 class ImplicitMidpoint(ImplicitRuleStepper):
     """y_{n+1} = y_n + h phi(t_n + h/2, (y_n + y_{n+1})/2).  Order 2, symplectic, A-stable.
 
+    Bodies turn by the Cayley map, which keeps their angular momentum.
     Hairer, Lubich, Wanner, Geometric Numerical Integration, II.1.1.
     """
 
     order = 2
+    rotation = "cayley"
 
     def rule(self, y: Any, phi: Any, t: float, h: float) -> Any:
         return y[0] + h * phi(t + h / 2, (y[0] + y[1]) / 2)

@@ -27,6 +27,7 @@ from dsim.arrays.checks import Array, as_positive
 from dsim.solve.band import BandFactor
 from dsim.solve.linear import Factor, Polished, factorize
 from dsim.solve.newton import Status
+from dsim.steppers.charts import chart_of
 from dsim.steppers.definition import jacobians
 from dsim.steppers.stage import StageProblem
 from dsim.steppers.stepper import Counters, Ode, Step, check_state
@@ -47,6 +48,7 @@ class RuleStepper:
     form = 1  # the order of the differential equation the rule is written for
     history = 1
     implicit = False
+    rotation = "exponential"  # how bodies are turned, see `charts`
     frequency_limit = math.inf  # an undamped oscillation grows where h w exceeds this
 
     def rule(self, *arguments: Any) -> Any:
@@ -58,6 +60,7 @@ class RuleStepper:
 
     def start(self, system: Ode, t: float, y0: Array, h: float) -> Step:
         y0 = check_state(y0, system.size, 1)
+        _check_form(self, system)
         if self.history == 1:
             return Step(t, h, y0, y0, rates=())
         system = system.at(t, y0, h)
@@ -68,7 +71,7 @@ class RuleStepper:
     def step(self, system: Ode, t: float, y0: Array, h: float) -> Step:
         _check_form(self, system)
         y0 = check_state(y0, system.size, self.history)
-        system = system.at(t, y0[: system.size], h)
+        system = self._placed(system, t, y0, h)
         if self.implicit:
             return _implicit(self, system, t, y0, h)
         y1, rates = _explicit(self.rule, self.form, system, t, _states(system, y0), h)
@@ -76,8 +79,13 @@ class RuleStepper:
         counters = Counters(forces=len(rates))
         return Step(t, h, y0, _with_history(y1, y0, self.history), status, counters, tuple(rates))
 
+    def _placed(self, system: Ode, t: float, y0: Array, h: float) -> Any:
+        """The system of one step, in the coordinates of that step."""
+        y0 = y0[: system.size]
+        return chart_of(system.at(t, y0, h), y0, self.rotation)
+
     def residual(self, system: Ode, step: Step) -> Array:
-        system = system.at(step.t, step.y0[: system.size], step.h)
+        system = self._placed(system, step.t, step.y0, step.h)
         states = _states(system, step.y0) | {1: step.unknowns[: system.size]}
         told, _ = _explicit(self.rule, self.form, system, step.t, states, step.h)
         return step.unknowns - _with_history(told, step.y0, self.history)
@@ -85,7 +93,7 @@ class RuleStepper:
     def linearize(self, system: Ode, step: Step) -> RuleLinearization:
         starting = step.y0.size < step.y1.size  # the step that `start` took
         rule, form = (self.past, 1) if starting else (self.rule, self.form)
-        return RuleLinearization(system.at(step.t, step.y0[: system.size], step.h), step, rule, form)
+        return RuleLinearization(self._placed(system, step.t, step.y0, step.h), step, rule, form)
 
 
 @dataclass(frozen=True)
@@ -121,6 +129,11 @@ def tableau_of(rule: Any, form: int, components: int, h: float) -> Tableau:
 
 
 def _check_form(stepper: RuleStepper, system: Ode) -> None:
+    if system.curved and stepper.history > 1:
+        raise ValueError(
+            f"{type(stepper).__name__} looks back over two states, which rotations do not add to; "
+            "use SymplecticEuler, BackwardEuler, ImplicitMidpoint, RK4 or RKMK4"
+        )
     if stepper.form > system.components:
         raise ValueError(
             f"{type(stepper).__name__} needs a second-order System; got a {type(system).__name__} "
@@ -150,18 +163,26 @@ def _explicit(
     blocks = {n: system.blocks(y) for n, y in states.items()}
     if form == 2:
         q, v = ({n: block[c] for n, block in blocks.items()} for c in (0, 1))
-        return np.concatenate(rule(q, v, rate, t, h)), rates
+        return system.leave(rule(q, v, rate, t, h)), rates
 
     def flow(t: float, y: Array) -> Array:
-        place = system.blocks(y)
+        place = y.reshape(system.components, -1)
         return np.concatenate([*place[1:], rate(t, *place)])
 
     whole = {n: np.concatenate(block) for n, block in blocks.items()}
-    return rule(whole, flow, t, h), rates
+    return system.leave(rule(whole, flow, t, h).reshape(system.components, -1)), rates
 
 
 def _values(system: Ode, states: Mapping[int, Array]) -> Values:
     return {("y", n, c): block for n, y in states.items() for c, block in enumerate(system.blocks(y))}
+
+
+def _changes(system: Ode, dy0: Array) -> tuple[Any, Values]:
+    """The change of the start that coordinates are about, and those of the blocks of past states."""
+    if not system.curved:
+        return 0.0, _values(system, _states(system, dy0))
+    start, blocks = system.enter_tangent(dy0)
+    return start, {("y", 0, c): block for c, block in enumerate(blocks)}
 
 
 def _arguments(stage: Stage, values: Values, n: int) -> tuple[Array, ...]:
@@ -188,7 +209,7 @@ def _implicit(stepper: Any, system: Ode, t: float, y0: Array, h: float) -> Step:
         values["k", number, 0] = k
         if status is not Status.CONVERGED:
             break
-    y1 = np.concatenate([np.zeros(system.n) + combine(part, values) for part in tableau.outcome])
+    y1 = system.leave([np.zeros(system.n) + combine(part, values) for part in tableau.outcome])
     if not np.isfinite(y1).all():
         status = Status.NOT_FINITE
     return Step(t, h, y0, _with_history(y1, y0, stepper.history), status, counters, tuple(rates), factors)
@@ -256,15 +277,25 @@ class RuleLinearization:
         """`tangent`, and what it went through: the changes of the state's blocks and of the rate of every stage."""
         ode: Any = self.system
         dy0 = np.asarray(dy0, dtype=float)
-        changes, zero = _values(ode, _states(ode, dy0)), np.zeros((ode.n, *dy0.shape[1:]))
+        if ode.curved and dy0.ndim > 1:
+            return np.stack([self.push(*pair)[0] for pair in zip(dy0.T, dtheta.T, strict=True)], axis=1), {}
+        start, changes = _changes(ode, dy0)
+        zero = np.zeros((ode.n, *dy0.shape[1:]))
         for number, stage in enumerate(self.tableau.stages):
             time, place, k = self.step.t + stage.offset, self._place(stage), self.values["k", number, 0]
-            dplace = tuple(zero + combine(part, changes) for part in stage.arguments)
+            dplace = ode.carry(place, tuple(zero + combine(part, changes) for part in stage.arguments), start)
             load = ode.stage_tangent(time, place, k, dplace, dtheta)
             implicit = any(self_weights(stage, number))
             changes["k", number, 0] = self._factor(number).solve(load) if implicit else ode.stage_solve(load)
-        told = np.concatenate([zero + combine(part, changes) for part in self.tableau.outcome])
+        dparts = [zero + combine(part, changes) for part in self.tableau.outcome]
+        told = ode.leave_tangent(self._outcome, dparts, start)
         return np.concatenate(self._ordered(told, dy0[: ode.size])), changes
+
+    @property
+    def _outcome(self) -> list[Array]:
+        """The blocks of the new state."""
+        zero = np.zeros(self.system.n)
+        return [zero + combine(part, self.values) for part in self.tableau.outcome]
 
     def _ordered(self, told: Array, kept: Array) -> list[Array]:
         """The new state: what the rule told, then the y_n kept as history; the other way round after `start`."""
@@ -322,22 +353,27 @@ class RuleLinearization:
         ode: Any = self.system
         told, *kept = self._ordered(mu[: ode.size], mu[ode.size :])
         bars: Values = {}
-        for part, bar in zip(self.tableau.outcome, told.reshape(ode.components, ode.n, *mu.shape[1:]), strict=True):
+        parts, start = ode.leave_vjp(self._outcome if ode.curved else (), told)
+        for part, bar in zip(self.tableau.outcome, parts, strict=True):
             _spread(bars, part, bar)
         for number in range(len(self.tableau.stages) - 1, -1, -1):
             stage, symbol = self.tableau.stages[number], ("k", number, 0)
             if symbol not in bars:
                 continue
-            for part, bar in zip(stage.arguments, through(number, bars.pop(symbol)), strict=True):
+            parts, start_bar = ode.carry_vjp(self._place(stage), through(number, bars.pop(symbol)))
+            start = start + start_bar
+            for part, bar in zip(stage.arguments, parts, strict=True):
                 _spread(bars, {s: c for s, c in part.items() if s != symbol}, bar)
-        dy0 = self._collect(bars, np.zeros((ode.n, *mu.shape[1:])))
+        dy0 = self._collect(bars, np.zeros((ode.n, *mu.shape[1:])), start)
         for bar in kept:
             dy0[: ode.size] += bar
         return dy0
 
-    def _collect(self, bars: Values, zero: Array) -> Array:
+    def _collect(self, bars: Values, zero: Array, start: Any) -> Array:
         """Bars of the state blocks -> (history * size,), nothing at the velocity of pinned points."""
         ode, count = self.system, self.step.y0.size // self.system.size
+        if ode.curved:
+            return ode.enter_vjp(start, [bars.get(("y", 0, c), zero) for c in range(ode.components)])
         blocks = [bars.get(("y", -place, c), zero) for place in range(count) for c in range(ode.components)]
         states = np.concatenate(blocks).reshape(count, ode.size, *zero.shape[1:])
         return np.concatenate([np.concatenate(ode.blocks(state)) for state in states])
@@ -345,11 +381,21 @@ class RuleLinearization:
     @cached_property
     def _definition(self) -> tuple[csr_array, csr_array, csr_array]:
         step, ode = self.step, self.system
+        if ode.curved:
+            return self._solved()
         tableau = _tableau(self._rule, self._form, ode.components, step.h, False)
         states = _states(ode, step.y0)
         if not self._starting:
             states |= {1: step.y1[: ode.size]}
         return jacobians(ode, step.t, tableau, states, start=self._starting)
+
+    def _solved(self) -> tuple[csr_array, csr_array, csr_array]:
+        """Of R = y1 - step(y0, theta), for states that do not add."""
+        from scipy.sparse import csr_array, eye_array
+
+        size, count = self.system.size, self.system.parameter_count
+        by_state, by_theta = np.split(self.tangent(np.eye(size, size + count), np.eye(count, size + count, size)), [size], axis=1)
+        return csr_array(eye_array(size)), csr_array(-by_state), csr_array(-by_theta)
 
     @property
     def A(self) -> csr_array:

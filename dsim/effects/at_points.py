@@ -1,0 +1,243 @@
+"""Effects of points on bodies: a spring between corners, drag on a fin, a thruster.  Lecture: torque = (p - x) x f.
+
+A point p fixed in a body stands at x = c + R p and moves with x' = v + R (omega x p).  A small turn delta of the body
+moves it by R (delta x p).  So with J = dx'/dv, the generalized force of point forces f is J^T f = (f, p x R^T f).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dsim.arrays.checks import Array, Numbers, as_array
+from dsim.arrays.frozen import replace
+from dsim.arrays.rotation import conjugate, cross, rotate, skew, to_matrix
+from dsim.effects.bodies import BodyLayout
+from dsim.effects.rows import products
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
+
+OPTIONAL = ("energy", "dtheta", "at", "columns")  # capabilities of the inner effect that are passed on where it has them
+
+
+@dataclass(frozen=True, eq=False)
+class Attached:
+    """An effect of points, with its points fixed to bodies: point i of `effect` is at[i] in the frame of body to[i].
+
+    to (M,): centres, counted through particles first, then bodies.  at (M,3) m from the centre of mass, 0 for
+    particles.  The effect keeps its name and parameters.
+    """
+
+    effect: Any
+    to: Any  # stored as (M,) indices
+    at: Numbers
+
+    def __post_init__(self) -> None:
+        at = as_array("at", self.at, (None, 3))
+        to = np.asarray(self.to)
+        if to.shape != (len(at),) or not np.issubdtype(to.dtype, np.integer):
+            raise ValueError(f"to must be whole numbers, one for each of the {len(at)} points; got {self.to!r:.60}")
+        if "mass" in getattr(self.effect, "parameters", ()):
+            raise ValueError(f"{self.effect.name} acts on masses, so on centres of mass: give it without Attached")
+        object.__setattr__(self, "at", at)
+        object.__setattr__(self, "to", to.astype(np.int64))
+
+    @property
+    def name(self) -> str:
+        return str(self.effect.name)
+
+    def force(self, t: float, q: Array, v: Array) -> Array:
+        raise ValueError(f"{self.name} is attached to bodies: it needs RigidBodies")
+
+    def bind_bodies(self, layout: BodyLayout) -> AtPoints:
+        if self.to.size and (self.to.min() < 0 or self.to.max() >= layout.centres):
+            raise ValueError(f"to must be indices from 0 to {layout.centres - 1}; got {self.to.min()}..{self.to.max()}")
+        if np.any(self.at[self.to < layout.particles]):
+            raise ValueError("at must be 0 for particles: they have no extent")
+        return AtPoints(bound(self.effect, np.ones(len(self.to))), Markers(layout, self.to, self.at))
+
+    def moved(self, first: int) -> Attached:
+        """The same on a scene in which centre 0 has become `first`."""
+        return replace(self, to=first + self.to)
+
+
+def bound(effect: Any, mass: Array) -> Any:
+    """The effect bound to points in space."""
+    return effect.bind(mass, 3) if hasattr(effect, "bind") else effect
+
+
+class Markers:
+    """M points on bodies: where they are, how they move, and the force on the bodies that forces on them make."""
+
+    def __init__(self, layout: BodyLayout, to: NDArray[np.int64] | None = None, at: Array | None = None) -> None:
+        self.layout = layout
+        self.centred = to is None  # every centre, in order
+        self.to = np.arange(layout.centres) if to is None else to
+        self.at = np.zeros((len(self.to), 3)) if at is None else at
+        self.arms = np.flatnonzero(self.at.any(axis=1))  # those off their body's centre
+        self.bodies = self.to[self.arms] - layout.particles
+        self.offsets = self.at[self.arms]
+
+    def places(self, q: Array) -> Array:
+        """x (M,3) m."""
+        centres = self.layout.centres_of(q)
+        if self.centred:
+            return centres
+        x = centres[self.to]
+        x[self.arms] += rotate(self.layout.turns(q)[self.bodies], self.offsets)
+        return x
+
+    def velocities(self, q: Array, v: Array) -> Array:
+        """J v: x' (M,3) m/s, and as well the displacement by a small change of place (n,)."""
+        velocities = self.layout.velocities_of(v)
+        if self.centred:
+            return velocities
+        out = velocities[self.to]
+        turning = cross(self.layout.spins(v)[self.bodies], self.offsets)
+        out[self.arms] += rotate(self.layout.turns(q)[self.bodies], turning)
+        return out
+
+    def push(self, q: Array, forces: Array) -> Array:
+        """J^T f (n,)."""
+        if self.centred:
+            return self.layout.on_centres(forces)
+        dofs, n = self.layout.centre_dofs[self.to], self.layout.n
+        out = np.bincount(dofs.ravel(), forces.ravel(), n)
+        return out + self.twist(cross(self.offsets, self.local(q, forces)))
+
+    def local(self, q: Array, forces: Array) -> Array:
+        """R^T f (A,3) of the points with an arm."""
+        return rotate(conjugate(self.layout.turns(q)[self.bodies]), forces[self.arms])
+
+    def twist(self, torques: Array) -> Array:
+        """Torques (A,3) at the arms, in the body frame, as a generalized force (n,)."""
+        dofs = self.layout.spin_dofs[self.bodies]
+        return np.bincount(dofs.ravel(), np.ascontiguousarray(torques).ravel(), self.layout.n)
+
+    def jacobian(self, q: Array, arms: Array | None = None) -> csr_array:
+        """J, CSR (3M,n).  With arms (A,3) in place of the offsets, only what turns move: -R [arm]x."""
+        from scipy.sparse import csr_array
+
+        turned = -to_matrix(self.layout.turns(q)[self.bodies]) @ skew(self.offsets if arms is None else arms)
+        rows = np.broadcast_to(3 * self.arms[:, None, None] + np.arange(3)[:, None], turned.shape)
+        columns = np.broadcast_to(self.layout.spin_dofs[self.bodies][:, None, :], turned.shape)
+        entries, r, c = turned.ravel(), rows.ravel(), columns.ravel()
+        if arms is None:
+            dofs = self.layout.centre_dofs[self.to].ravel()
+            entries = np.concatenate([np.ones(len(dofs)), entries])
+            r, c = np.concatenate([np.arange(len(dofs)), r]), np.concatenate([dofs, c])
+        return csr_array((entries, (r, c)), shape=(3 * len(self.to), self.layout.n))
+
+    def turning(self, q: Array, forces: Array) -> csr_array:
+        """d(J^T f)/dq at fixed f, CSR (n,n): [p]x [R^T f]x at every arm."""
+        from scipy.sparse import csr_array
+
+        blocks = skew(self.offsets) @ skew(self.local(q, forces))
+        places = self.layout.spin_dofs[self.bodies]
+        rows, columns = (np.broadcast_to(p, blocks.shape) for p in (places[:, :, None], places[:, None, :]))
+        n = self.layout.n
+        return csr_array((blocks.ravel(), (rows.ravel(), columns.ravel())), shape=(n, n))
+
+
+@dataclass(frozen=True, eq=False)
+class AtPoints:
+    """An effect of points acting through markers; see `Attached`.  On centres alone nothing turns."""
+
+    effect: Any
+    markers: Markers
+    masses: slice | None = None  # which of the system's masses are the effect's
+
+    @property
+    def name(self) -> str:
+        return str(self.effect.name)
+
+    @property
+    def parameters(self) -> tuple[str, ...]:
+        return tuple(getattr(self.effect, "parameters", ()))
+
+    def __getattr__(self, label: str) -> Any:
+        """Parameters of the inner effect, and the capabilities that it has."""
+        if label.startswith("__") or label in ("effect", "markers", "masses"):
+            raise AttributeError(label)
+        if label in OPTIONAL and label != "columns":
+            if getattr(self.effect, label, None) is None:
+                raise AttributeError(label)
+            return getattr(self, f"_{label}")
+        return getattr(self.effect, label)
+
+    def exchanged(self, **values: Any) -> AtPoints:
+        """With other parameter values."""
+        return replace(self, effect=replace(self.effect, **values))
+
+    def _at(self, t: float, q: Array, h: float) -> AtPoints:
+        return replace(self, effect=self.effect.at(t, self.markers.places(q).ravel(), h))
+
+    def _place(self, q: Array, v: Array) -> tuple[Array, Array]:
+        return self.markers.places(q).ravel(), self.markers.velocities(q, v).ravel()
+
+    def _energy(self, t: float, q: Array) -> float:
+        return float(self.effect.energy(t, self.markers.places(q).ravel()))
+
+    def force(self, t: float, q: Array, v: Array) -> Array:
+        return self.markers.push(q, self.effect.force(t, *self._place(q, v)).reshape(-1, 3))
+
+    @cached_property
+    def _needs(self) -> tuple[bool, bool, bool]:
+        """Whether the force changes with the points' places, with their velocities, and with turns of the bodies."""
+        dq, dv = (getattr(self.effect, name, None) is not None for name in ("dq", "dv"))
+        return dq, dv, bool(self.markers.arms.size)
+
+    @property
+    def dq(self) -> Any:
+        by_place, by_velocity, turns = self._needs
+        return self._dq if by_place or turns else None
+
+    @property
+    def dv(self) -> Any:
+        return self._dv if self._needs[1] else None
+
+    def _dq(self, t: float, q: Array, v: Array) -> csr_array:
+        """J^T (Kx J + Dx d(Jv)/dq) + d(J^T f)/dq."""
+        from scipy.sparse import csr_array
+
+        m, (x, u), total = self.markers, self._place(q, v), 0
+        by_place, by_velocity, turns = self._needs
+        J = m.jacobian(q)
+        if by_place:
+            total = total + J.T @ self.effect.dq(t, x, u) @ J
+        if turns:
+            total = total + m.turning(q, self.effect.force(t, x, u).reshape(-1, 3))
+            if by_velocity:
+                arms = cross(m.layout.spins(v)[m.bodies], m.offsets)
+                total = total + J.T @ self.effect.dv(t, x, u) @ m.jacobian(q, arms)
+        return csr_array(total)
+
+    def _dv(self, t: float, q: Array, v: Array) -> csr_array:
+        from scipy.sparse import csr_array
+
+        J = self.markers.jacobian(q)
+        return csr_array(J.T @ self.effect.dv(t, *self._place(q, v)) @ J)
+
+    def _dtheta(self, t: float, q: Array, v: Array) -> csr_array:
+        from scipy.sparse import csr_array
+
+        return csr_array(self.markers.jacobian(q).T @ self.effect.dtheta(t, *self._place(q, v)))
+
+    def vjp(self, t: float, q: Array, v: Array, w: Array) -> tuple[Array, Array, Any]:
+        """The products of the points' Jacobians with J w, carried back to the bodies."""
+        m, (x, u) = self.markers, self._place(q, v)
+        pulled = m.velocities(q, w).ravel()
+        x_bar, u_bar, theta_bar = products(self.effect, t, (x, u), pulled)
+        x_bar, u_bar = (np.broadcast_to(bar, x.shape).reshape(-1, 3) for bar in (x_bar, u_bar))
+        by_q, by_v = m.push(q, x_bar), m.push(q, u_bar)
+        if m.arms.size:
+            spins, turns = m.layout.spins(v)[m.bodies], m.layout.spins(w)[m.bodies]
+            swung = cross(cross(spins, m.offsets), m.local(q, u_bar))
+            forces = m.local(q, self.effect.force(t, x, u).reshape(-1, 3))
+            by_q = by_q + m.twist(swung + cross(forces, cross(m.offsets, turns)))
+        return by_q, by_v, theta_bar
