@@ -105,12 +105,12 @@ def from_matrix(R: Array) -> Array:
 def exponential(r: Array) -> Array:
     """The turn by |r| rad about r: (cos |r|/2, sin(|r|/2) r/|r|)."""
     square = np.einsum("...i,...i->...", r, r)
-    half = 0.5 * np.sqrt(square)
+    small = square < SMALL
+    half = 0.5 * np.sqrt(np.where(small, 1.0, square))
+    series = 0.5 - square / 48 + square**2 / 3840
     out = np.empty((*r.shape[:-1], 4))
-    out[..., 0] = np.cos(half)
-    ratio = np.where(square < SMALL, 0.5 - square / 48 + square**2 / 3840, 0.0)
-    np.divide(np.sin(half), 2 * half, out=ratio, where=square >= SMALL)
-    np.multiply(ratio[..., None], r, out=out[..., 1:])
+    out[..., 0] = np.where(small, 1 - square / 8 + square**2 / 384, np.cos(half))
+    np.multiply(np.where(small, series, np.sin(half) / (2 * half))[..., None], r, out=out[..., 1:])
     return out
 
 

@@ -46,8 +46,10 @@ class _Bodies:
     def __init__(self, system: RigidBodies, y0: Array) -> None:
         self.system, self.frame = system, system.frame
         self.size, self.parameter_count = system.size, system.parameter_count
-        self.start = self._unit(y0[: system.width])
-        self._norms = np.sqrt(_squares(system.frame, y0[: system.width]))  # 1, but for a start that is given otherwise
+        self._given = y0[: system.width]
+        self._norms = np.sqrt(_squares(system.frame, self._given))  # 1, but for a start that is given otherwise
+        self.start = np.array(self._given)
+        self.frame.turns(self.start)[:] /= self._norms
 
     def _unit(self, q: Array) -> Array:
         q = np.array(q)
@@ -88,7 +90,8 @@ class Chart(_Bodies):
     def blocks(self, y: Array) -> tuple[Array, Array]:
         """xi and v of a state."""
         q, v = y[: self.system.width], y[self.system.width :]
-        return self._coordinates(q), self.system.free * v
+        at_start = np.array_equal(q, self._given)
+        return np.zeros(self.n) if at_start else self._coordinates(q), self.system.free * v
 
     def _coordinates(self, q: Array) -> Array:
         frame, out = self.frame, np.zeros(self.n)
@@ -101,6 +104,8 @@ class Chart(_Bodies):
     def reached(self, xi: Array) -> Array:
         """q0 (x) map(xi)."""
         frame, q = self.frame, self.start.copy()
+        if not xi.any():
+            return q
         frame.of_particles(q)[:] += frame.of_particles(xi)
         frame.poses(q)[:, :3] += frame.twists(xi)[:, :3]
         frame.turns(q)[:] = rotation.normalised(rotation.product(frame.turns(self.start), self._map(frame.spins(xi))))
