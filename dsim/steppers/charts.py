@@ -124,6 +124,16 @@ class Chart(_Bodies):
     def enter_vjp(self, start_bar: Array, bars: Any) -> Array:
         return np.concatenate([self._start_turn_vjp(start_bar), self.system.free * bars[1]])
 
+    def coordinates_tangent(self, y: Array, dy: Array, dstart: Array) -> tuple[Array, Array]:
+        """Changes of xi and v from those of a state (not the start) and of the start: T^-1 (turn - R(map)^T dstart)."""
+        frame, (q, v), width = self.frame, self.blocks(y), self.system.width
+        unit = y[:width].copy()
+        turned = frame.small_turn(unit, dy[:width])
+        frame.spins(turned)[:] /= _squares(frame, unit)
+        out = turned - self._carried(q, np.zeros(self.n), dstart)
+        frame.spins(out)[:] = np.linalg.solve(self._tangent(frame.spins(q)), frame.spins(out)[..., None])[..., 0]
+        return out, self.system.free * dy[width:]
+
     def carry(self, place: Any, dplace: Any, dstart: Array) -> tuple[Array, Array]:
         """The small turn at a place, from changes of its coordinates and of the start: R(map)^T dstart + T dxi."""
         return self._carried(place[0], dplace[0], dstart), dplace[1]
@@ -255,6 +265,9 @@ class LieChart(_FirstOrder):
     def enter_vjp(self, start_bar: Array, bars: Any) -> Array:
         return self._chart.enter_vjp(start_bar, self._parts(bars[0]))
 
+    def coordinates_tangent(self, y: Array, dy: Array, dstart: Array) -> tuple[Array]:
+        return (np.concatenate(self._chart.coordinates_tangent(y, dy, dstart)),)
+
     def carry(self, place: Any, dplace: Any, dstart: Array) -> Any:
         return (dplace[0], dstart)
 
@@ -326,6 +339,9 @@ class Ambient(_FirstOrder):
         q, v = self._parts(bars[0])
         turned = self._start_turn_vjp(self.frame.change_vjp(self.start, q))
         return np.concatenate([turned, self.system.free * v])
+
+    def coordinates_tangent(self, y: Array, dy: Array, dstart: Array) -> tuple[Array]:
+        return (self.leave_tangent((y,), (dy,), dstart),)
 
     def carry(self, place: Any, dplace: Any, dstart: Array) -> Any:
         return dplace

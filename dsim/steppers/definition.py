@@ -78,3 +78,40 @@ def _stack(grid: list[list[Any]]) -> csr_array:
     from scipy.sparse import block_array, csr_array
 
     return csr_array(block_array(grid))
+
+
+def curved_jacobians(
+    ode: Any, t: float, tableau: Tableau, y0: Array, y1: Array
+) -> tuple[csr_array, csr_array, csr_array]:
+    """(A, B, C) of the same residual where positions do not add: column by column, through the coordinates of the
+    step (`charts`)."""
+    from scipy.sparse import csr_array
+
+    values = {("y", n, c): block for n, y in ((0, y0), (1, y1)) for c, block in enumerate(ode.blocks(y))}
+    places: list[Any] = []
+    for number, stage in enumerate(tableau.stages):
+        place = tuple(np.zeros(ode.n) + combine(part, values) for part in stage.arguments)
+        places.append(place)
+        values["k", number, 0] = ode.rate(t + stage.offset, *place)
+    outcome = [np.zeros(ode.n) + combine(part, values) for part in tableau.outcome]
+
+    def told(dy1: Array, dy0: Array, dtheta: Array) -> Array:
+        start, blocks = ode.enter_tangent(dy0)
+        changes = {("y", 0, c): block for c, block in enumerate(blocks)}
+        changes |= {("y", 1, c): block for c, block in enumerate(ode.coordinates_tangent(y1, dy1, start))}
+        for number, (stage, place) in enumerate(zip(tableau.stages, places, strict=True)):
+            dplace = ode.carry(place, tuple(np.zeros(ode.n) + combine(p, changes) for p in stage.arguments), start)
+            load = ode.stage_tangent(t + stage.offset, place, values["k", number, 0], dplace, dtheta)
+            changes["k", number, 0] = ode.stage_solve(load)
+        dparts = [np.zeros(ode.n) + combine(part, changes) for part in tableau.outcome]
+        moved: Array = ode.leave_tangent(outcome, dparts, start)
+        return moved
+
+    none = np.zeros(ode.size), np.zeros(ode.size), np.zeros(ode.parameter_count)
+
+    def columns(which: int) -> Array:
+        units = np.eye(len(none[which]))
+        found = [told(*(unit if i == which else zero for i, zero in enumerate(none))) for unit in units]
+        return np.array(found).reshape(len(units), ode.size).T
+
+    return csr_array(np.eye(ode.size) - columns(0)), csr_array(-columns(1)), csr_array(-columns(2))

@@ -24,11 +24,12 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from dsim.arrays.checks import Array, as_positive
+from dsim.arrays.differences import FIRST, line_length, slope
 from dsim.solve.band import BandFactor
 from dsim.solve.linear import Factor, Polished, factorize
 from dsim.solve.newton import Status
 from dsim.steppers.charts import chart_of
-from dsim.steppers.definition import jacobians
+from dsim.steppers.definition import curved_jacobians, jacobians
 from dsim.steppers.stage import StageProblem
 from dsim.steppers.stepper import Counters, Ode, Step, check_state
 from dsim.steppers.tableau import Stage, Symbol, Tableau, combine, eliminate, record, self_weights
@@ -93,7 +94,10 @@ class RuleStepper:
     def linearize(self, system: Ode, step: Step) -> RuleLinearization:
         starting = step.y0.size < step.y1.size  # the step that `start` took
         rule, form = (self.past, 1) if starting else (self.rule, self.form)
-        return RuleLinearization(self._placed(system, step.t, step.y0, step.h), step, rule, form)
+        place = self._placed(system, step.t, step.y0, step.h)
+        if system.curved:
+            return CurvedLinearization(place, step, rule, form, (self, system))
+        return RuleLinearization(place, step, rule, form)
 
 
 @dataclass(frozen=True)
@@ -277,8 +281,6 @@ class RuleLinearization:
         """`tangent`, and what it went through: the changes of the state's blocks and of the rate of every stage."""
         ode: Any = self.system
         dy0 = np.asarray(dy0, dtype=float)
-        if ode.curved and dy0.ndim > 1:
-            return np.stack([self.push(*pair)[0] for pair in zip(dy0.T, dtheta.T, strict=True)], axis=1), {}
         start, changes = _changes(ode, dy0)
         zero = np.zeros((ode.n, *dy0.shape[1:]))
         for number, stage in enumerate(self.tableau.stages):
@@ -381,21 +383,13 @@ class RuleLinearization:
     @cached_property
     def _definition(self) -> tuple[csr_array, csr_array, csr_array]:
         step, ode = self.step, self.system
-        if ode.curved:
-            return self._solved()
         tableau = _tableau(self._rule, self._form, ode.components, step.h, False)
+        if ode.curved:
+            return curved_jacobians(ode, step.t, tableau, step.y0, step.y1)
         states = _states(ode, step.y0)
         if not self._starting:
             states |= {1: step.y1[: ode.size]}
         return jacobians(ode, step.t, tableau, states, start=self._starting)
-
-    def _solved(self) -> tuple[csr_array, csr_array, csr_array]:
-        """Of R = y1 - step(y0, theta), for states that do not add."""
-        from scipy.sparse import csr_array, eye_array
-
-        size, count = self.system.size, self.system.parameter_count
-        by_state, by_theta = np.split(self.tangent(np.eye(size, size + count), np.eye(count, size + count, size)), [size], axis=1)
-        return csr_array(eye_array(size)), csr_array(-by_state), csr_array(-by_theta)
 
     @property
     def A(self) -> csr_array:
@@ -411,6 +405,41 @@ class RuleLinearization:
     def C(self) -> csr_array:
         """dR/dtheta."""
         return self._definition[2]
+
+
+class CurvedLinearization(RuleLinearization):
+    """Of a step of bodies.  Second derivatives are central differences of the pullback: nine to ten digits."""
+
+    def __init__(self, system: Any, step: Step, rule: Any, form: int, again: tuple[RuleStepper, Any]) -> None:
+        super().__init__(system, step, rule, form)
+        self._stepper, self._whole = again
+
+    def push(self, dy0: Array, dtheta: Array) -> tuple[Array, Values]:
+        dy0 = np.asarray(dy0, dtype=float)
+        if dy0.ndim > 1:
+            pairs = zip(dy0.T, dtheta.T, strict=True)
+            return np.stack([self.push(*pair)[0] for pair in pairs], axis=1), {}
+        dy1, changes = super().push(dy0, dtheta)
+        return dy1, changes | {_START: dy0}
+
+    def pullback_tangent(self, mu: Array, changes: Values, dtheta: Array, theta_bars: tuple[Array, Array]) -> Array:
+        step, dy0 = self.step, changes[_START]
+        length = line_length((step.y0, dy0), (self._whole.theta, dtheta), (mu[:, 0], mu[:, 1]))
+
+        def along(s: float) -> Array:
+            system = self._whole.with_theta(self._whole.theta + s * dtheta)
+            there = self._stepper.step(system, step.t, step.y0 + s * dy0, step.h)
+            bar = np.zeros(len(dtheta))
+            pulled = self._stepper.linearize(system, there).pullback(mu[:, 0] + s * mu[:, 1], bar)
+            return np.append(pulled, bar)
+
+        here = self.pullback(mu[:, 0], theta_bars[0])
+        change = slope(along, FIRST / length) if length else np.zeros(step.y0.size + len(dtheta))
+        theta_bars[1][:] += change[step.y0.size :]
+        return np.stack([here, change[: step.y0.size]], axis=1)
+
+
+_START: Symbol = ("start", 0, 0)
 
 
 def _spread(bars: Values, part: Mapping[Symbol, float], bar: Array) -> None:
