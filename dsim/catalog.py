@@ -12,16 +12,28 @@ import numpy as np
 
 from dsim import scenes
 from dsim.arrays.checks import Array
-from dsim.effects import Actuation, Drag, Field, Gravity, SpringDamping, Springs
+from dsim.effects import (
+    Actuation,
+    AngularDrag,
+    Attached,
+    Drag,
+    Field,
+    Gravity,
+    SpringDamping,
+    Springs,
+    TorqueActuation,
+)
 from dsim.kernels import SPRING, Kernel
 from dsim.pictures import formwork as fabrics
 from dsim.pictures import showcases as drawn
 from dsim.steppers import (
     BDF2,
     RK4,
+    RKMK4,
     BackwardEuler,
     ForwardEuler,
     ImplicitMidpoint,
+    NormalisedEuler,
     RuleStepper,
     SymplecticEuler,
     Trapezoidal,
@@ -31,6 +43,7 @@ from dsim.steppers import (
 from dsim.studies import hard_cases, planted, problems
 from dsim.studies.answers import formulas, motions, programs
 from dsim.studies.answers.document import Item
+from dsim.studies.bodies import BodyEffectExample, corners, tumbling_in_wind
 from dsim.studies.convergence import OrderProblem, leaf_in_river, pendulum_in_wind
 from dsim.studies.derivatives import EffectExample
 from dsim.studies.hard_cases import HardCase
@@ -108,6 +121,41 @@ STEPPERS: tuple[RuleStepper, ...] = (
     VelocityVerlet(),
     RK4(),
 )
+
+def _tied(rng: np.random.Generator, bodies: int, effect: Any) -> Attached:
+    return Attached(effect, *corners(rng, bodies))
+
+
+BODY_EFFECTS: tuple[BodyEffectExample, ...] = (
+    BodyEffectExample("gyroscopic", lambda rng, b: None),
+    BodyEffectExample("gravity", lambda rng, b: Gravity(rng.normal(size=3))),
+    BodyEffectExample("drag", lambda rng, b: Drag(rng.uniform(0.1, 2.0, b), wind=rng.normal(size=3))),
+    BodyEffectExample("springs between centres", lambda rng, b: Springs([(0, 1), (1, 2)], 0.7, rng.uniform(1, 9, 2))),
+    BodyEffectExample("angular drag", lambda rng, b: AngularDrag(0.7)),
+    BodyEffectExample("angular drag per body", lambda rng, b: AngularDrag(rng.uniform(0.1, 2.0, b))),
+    BodyEffectExample("torque", lambda rng, b: TorqueActuation(rng.normal(size=(3, b, 3)), h=0.02)),
+    BodyEffectExample("torque, body", lambda rng, b: TorqueActuation(rng.normal(size=(3, b, 3)), 0.02, "body")),
+    BodyEffectExample("springs at corners", lambda rng, b: _tied(rng, b, Springs([(0, 1), (2, 3)], 0.5, [4.0, 7.0]))),
+    BodyEffectExample("damping at corners", lambda rng, b: _tied(rng, b, SpringDamping([(0, 1), (2, 3)], [1.0, 2.0]))),
+    BodyEffectExample("drag at corners", lambda rng, b: _tied(rng, b, Drag(0.7, wind=rng.normal(size=3)))),
+    BodyEffectExample("field at corners", lambda rng, b: _tied(rng, b, Field(_bowl, _bowl_jacobian, _bowl_potential))),
+    BodyEffectExample("forces at corners", lambda rng, b: _tied(rng, b, Actuation(rng.normal(size=(3, 4, 3)), h=0.02))),
+)
+
+# What turns bodies: one-step methods, with a map of rotations each.
+BODY_STEPPERS: tuple[RuleStepper, ...] = (
+    ForwardEuler(),
+    SymplecticEuler(),
+    NormalisedEuler(),
+    BackwardEuler(),
+    ImplicitMidpoint(),
+    Trapezoidal(),
+    VelocityVerlet(),
+    RK4(),
+    RKMK4(),
+)
+
+BODY_ORDER_PROBLEMS: tuple[Callable[[], OrderProblem], ...] = (tumbling_in_wind,)
 
 ORDER_PROBLEMS: tuple[Callable[[], OrderProblem], ...] = (pendulum_in_wind, leaf_in_river)
 

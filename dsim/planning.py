@@ -124,7 +124,10 @@ class Plan:
                 f"{pins} point{'s' * (pins > 1)}" if pins else "no point is fixed (fixed=...)",
             )
             yield Line("off", "contact, friction", "the system has no colliders")
-            yield Line("off", "gyroscopic torque", "points have no inertia")
+            if not self.system.curved:
+                yield Line("off", "gyroscopic torque", "points have no inertia")
+            elif not any(effect.name == "gyroscopic" for effect in self.system.effects):
+                yield Line("off", "gyroscopic torque", "isotropic inertia: omega x I omega = 0")
 
     def _linear_algebra(self) -> str:
         if not self.implicit:
@@ -176,6 +179,11 @@ class Plan:
             yield Line("warn", f"h d_max = {self.h * d:.3g} > 2", f"damping blows up: implicit, or h < {2 / d:.2g}")
 
     def __str__(self) -> str:
+        if self.system.curved:
+            frame = self.system.frame  # type: ignore[union-attr]
+            beside = f" and {frame.particles} points" if frame.particles else ""
+            size = f"{frame.bodies} bodies{beside}"
+            return "\n".join([f"plan: {size}, {type(self.stepper).__name__}, h = {self.h:.4g} s", *map(str, self.lines)])
         size = f"{len(self.system.mass)} points" if isinstance(self.system, System) else f"{self.system.n} unknowns"
         head = f"plan: {size}, {type(self.stepper).__name__}, h = {self.h:.4g} s"
         return "\n".join([head, *(str(line) for line in self.lines)])
@@ -251,8 +259,8 @@ def _largest(system: System, matrix: Any) -> float:
     """The largest eigenvalue of M^-1/2 (A + A^T)/2 M^-1/2 on the free degrees of freedom."""
     from scipy.sparse import csr_array, diags_array
 
-    scale = diags_array(system.free / np.sqrt(system.masses))
-    symmetric = csr_array(scale @ (matrix + matrix.T) @ scale) * 0.5
+    scale = csr_array(diags_array(system.free) @ system.inverse_root())
+    symmetric = csr_array(scale.T @ (matrix + matrix.T) @ scale) * 0.5
     if not symmetric.data.any():
         return 0.0
     if system.n <= DENSE_SIZE:

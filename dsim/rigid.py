@@ -16,7 +16,7 @@ import numpy as np
 
 from dsim.arrays.checks import Array, Numbers, as_array, as_positive
 from dsim.arrays.frozen import replace
-from dsim.arrays.rotation import as_unit
+from dsim.arrays.rotation import as_unit, normalised
 from dsim.effects.at_points import AtPoints, Attached, Markers, bound
 from dsim.effects.bodies import BodyLayout
 from dsim.effects.gyroscopic import ENTRIES, Gyroscopic, angular_momentum, by_inertia, tensors
@@ -106,6 +106,18 @@ class RigidBodies(System):
         q = np.concatenate([rows["position"], rows["attitude"]], axis=1)
         return np.concatenate([q.ravel(), np.concatenate([rows["velocity"], rows["spin"]], axis=1).ravel()])
 
+    def check_start(self, y0: Array) -> None:
+        """Raises ValueError for a quaternion that is 0."""
+        as_unit("the attitudes of y0", self.frame.turns(y0[: self.width]), (None, 4))
+
+    def flow(self, t: float, y: Array) -> Array:
+        """dy/dt = (v, 1/2 q (x) (0, omega), M^-1 f), for attitudes of any norm."""
+        q, v = self.blocks(y)
+        unit = q.copy()
+        turns = self.frame.turns(unit)
+        turns[:] = normalised(turns)
+        return np.concatenate([self.frame.change_of(q, v), self.rate(t, unit, v)])
+
     # Parameters and effects
 
     def _torque(self) -> tuple[Gyroscopic, ...]:
@@ -162,11 +174,15 @@ class RigidBodies(System):
 
     @cached_property
     def mass_matrix(self) -> csr_array:
+        return self._block_diagonal(self.mass, tensors(self.inertia))
+
+    def _block_diagonal(self, lights: Array, blocks: Array) -> csr_array:
+        """A number for each centre and a block (3,3) for each body, CSR (n,n)."""
         from scipy.sparse import csr_array
 
         places, spins = self.frame.centre_dofs, self.frame.spin_dofs
         rows, columns = (np.broadcast_to(p, (len(spins), 3, 3)).ravel() for p in (spins[:, :, None], spins[:, None, :]))
-        entries = np.concatenate([np.repeat(self.mass, 3), tensors(self.inertia).ravel()])
+        entries = np.concatenate([np.repeat(lights, 3), blocks.ravel()])
         diagonal = places.ravel()
         place = (np.concatenate([diagonal, rows]), np.concatenate([diagonal, columns]))
         return csr_array((entries, place), shape=(self.n, self.n))
@@ -177,6 +193,12 @@ class RigidBodies(System):
         inverse = np.linalg.inv(tensors(self.inertia))
         six = np.stack([inverse[:, i, j] for i, j in ENTRIES], axis=1)
         return 1 / self.mass[:, None], six, inverse
+
+    def inverse_root(self) -> csr_array:
+        from scipy.sparse import csr_array
+
+        roots = np.linalg.inv(np.linalg.cholesky(tensors(self.inertia))).swapaxes(1, 2)
+        return csr_array(self._block_diagonal(1 / np.sqrt(self.mass), roots))
 
     def momentum(self, v: Array) -> Array:
         frame, out = self.frame, np.empty(self.n)

@@ -215,6 +215,7 @@ def record(stepper: Stepper, system: Ode, y0: Any, h: float, steps: int, keep: K
     if not hasattr(system, "stage_residual"):
         raise ValueError(f"system must be a System or a Flow; got {system!r:.60}")
     y0 = as_array("y0", y0, (system.size,))
+    system.check_start(y0)
     h, steps = as_step(h), as_count("steps", steps)
     if not isinstance(keep, Checkpoints) and keep not in ("states", "steps", "factors"):
         raise ValueError(f'keep must be "states", "steps", "factors" or Checkpoints(10); got {keep!r:.60}')

@@ -119,6 +119,9 @@ class System:
         masses.setflags(write=False)
         return masses
 
+    def check_start(self, y0: Array) -> None:
+        """Raises ValueError for a state that is none."""
+
     # Parameters
 
     @cached_property
@@ -397,6 +400,10 @@ class System:
         """M, CSR (n,n)."""
         return diagonal(self.masses)
 
+    def inverse_root(self) -> csr_array:
+        """W, CSR (n,n), with W^T M W = 1."""
+        return diagonal(1 / np.sqrt(self.masses))
+
     def momentum(self, v: Array) -> Array:
         """M v (n,)."""
         return self.masses * v
@@ -614,6 +621,9 @@ class Flow:
         return value
 
     flow = rate
+
+    def check_start(self, y0: Array) -> None:
+        """Any numbers are a state."""
 
     def leave(self, parts: Any) -> Array:
         """The state is its only block."""

@@ -12,6 +12,8 @@ import pytest
 import dsim
 from dsim import catalog
 from dsim.effects import Drag, Effect
+from dsim.effects.at_points import AtPoints
+from dsim.effects.gyroscopic import Gyroscopic
 from dsim.kernels import Kernel
 from dsim.scenes import Scene
 from dsim.solve.linear import make_definite
@@ -79,7 +81,9 @@ def public_objects():
 def escaped(objects):
     """Public kernels, effects, steppers and scene builders that no generated check would see."""
     effects = {type(e.make(np.random.default_rng(0), 5, 2)) for e in catalog.EFFECTS}
-    steppers = {type(s) for s in catalog.STEPPERS}
+    effects |= {type(e.make(np.random.default_rng(0), 3)) for e in catalog.BODY_EFFECTS}
+    effects |= {Gyroscopic, AtPoints}  # what RigidBodies makes of its own inertia, and of the others
+    steppers = {type(s) for s in (*catalog.STEPPERS, *catalog.BODY_STEPPERS)}
     bases = {RuleStepper, *(b for s in steppers for b in s.__mro__[1:])}
     for label, value in objects:
         if isinstance(value, Kernel) and value not in catalog.KERNELS:

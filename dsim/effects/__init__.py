@@ -1,6 +1,9 @@
-"""The lecture's "force objects".  An effect describes a force; `System` binds it to its points once."""
+"""The lecture's "force objects".  An effect describes a force; `System` binds it to its points once, `RigidBodies` to its
+bodies."""
 
 from dsim.effects.actuation import Actuation
+from dsim.effects.at_points import Attached
+from dsim.effects.body_torques import AngularDrag, TorqueActuation
 from dsim.effects.drag import Drag
 from dsim.effects.effect import Effect
 from dsim.effects.field import Field
@@ -8,4 +11,5 @@ from dsim.effects.gravity import Gravity
 from dsim.effects.spring_damping import SpringDamping
 from dsim.effects.springs import Springs
 
-__all__ = ["Actuation", "Drag", "Effect", "Field", "Gravity", "SpringDamping", "Springs"]
+__all__ = ["Actuation", "AngularDrag", "Attached", "Drag", "Effect", "Field", "Gravity", "SpringDamping", "Springs",
+           "TorqueActuation"]  # fmt: skip

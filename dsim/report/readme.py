@@ -23,7 +23,8 @@ def first_sentence(thing: object) -> str:
 def tables() -> str:
     """Steppers, effects and scenes, one line each."""
     lines = ["| stepper | order | implicit | formula |", "|---|---|---|---|"]
-    for stepper in catalog.STEPPERS:
+    names = {type(stepper).__name__ for stepper in catalog.STEPPERS}
+    for stepper in (*catalog.STEPPERS, *(s for s in catalog.BODY_STEPPERS if type(s).__name__ not in names)):
         implicit = "yes" if stepper.implicit else "no"
         lines.append(f"| `{type(stepper).__name__}` | {stepper.order} | {implicit} | {first_sentence(type(stepper))} |")
     lines += ["", "| effect | force | derivatives by |", "|---|---|---|"]
@@ -35,6 +36,12 @@ def tables() -> str:
         seen.add(type(effect))
         parameters = ", ".join(["position, velocity", *getattr(effect, "parameters", ())])
         lines.append(f"| `{type(effect).__name__}` | {first_sentence(type(effect))} | {parameters} |")
+    for body in catalog.BODY_EFFECTS:
+        effect = body.make(np.random.default_rng(0), 3)
+        if effect is not None and type(effect) not in seen:
+            seen.add(type(effect))
+            parameters = ", ".join(["position, velocity", *getattr(effect, "parameters", ())])
+            lines.append(f"| `{type(effect).__name__}` | {first_sentence(type(effect))} | {parameters} |")
     lines += ["", "| scene | what it shows |", "|---|---|"]
     lines += [f"| `dsim show {build.__name__}` | {build().summary} |" for build in catalog.SCENES]
     return "\n".join(line.replace("|x_ij|", "\\|x_ij\\|") for line in lines)

@@ -1,7 +1,7 @@
 """Time-stepping methods.  Begin with `euler`, which reads like the notes."""
 
-from dsim.steppers.euler import BackwardEuler, ForwardEuler, SymplecticEuler, TwoStepBackwardEuler
-from dsim.steppers.explicit import RK4, VelocityVerlet
+from dsim.steppers.euler import BackwardEuler, ForwardEuler, NormalisedEuler, SymplecticEuler, TwoStepBackwardEuler
+from dsim.steppers.explicit import RK4, RKMK4, VelocityVerlet
 from dsim.steppers.implicit import BDF2, ImplicitMidpoint, Trapezoidal
 from dsim.steppers.rule import ImplicitRuleStepper, RuleStepper
 from dsim.steppers.stepper import Counters, Linearization, Step, Stepper
@@ -15,6 +15,8 @@ __all__ = [
     "ImplicitMidpoint",
     "ImplicitRuleStepper",
     "Linearization",
+    "NormalisedEuler",
+    "RKMK4",
     "RuleStepper",
     "Step",
     "Stepper",

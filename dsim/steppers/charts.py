@@ -33,6 +33,8 @@ def chart_of(system: Any, y0: Array, kind: str) -> Any:
     """The coordinates of one step from y0; the system itself where positions add."""
     if not system.curved:
         return system
+    if kind not in MAPS:
+        raise ValueError(f"rotation must be one of {', '.join(MAPS)}; got {kind!r}")
     if kind in ("exponential", "cayley"):
         return Chart(system, y0, kind)
     return {"lie": LieChart, "ambient": Ambient}[kind](system, y0)

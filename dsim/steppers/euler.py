@@ -39,6 +39,16 @@ class SymplecticEuler(RuleStepper):
 
 
 @dataclass(frozen=True)
+class NormalisedEuler(SymplecticEuler):
+    """The notes' loop for bodies: v and omega first, then x + h v and q + h qdot, and q divided by its norm.
+
+    That turns by 2 atan(h |omega|/2), the Cayley map, instead of by h |omega|.  For points it is `SymplecticEuler`.
+    """
+
+    rotation = "cayley"
+
+
+@dataclass(frozen=True)
 class BackwardEuler(ImplicitRuleStepper):
     """y_{n+1} = y_n + h phi(t_{n+1}, y_{n+1}).  Order 1; stable for every h, and dissipative."""
 
