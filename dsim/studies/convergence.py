@@ -13,7 +13,7 @@ from dsim.effects import Drag, Gravity, SpringDamping, Springs
 from dsim.simulation import simulate
 from dsim.steppers.stepper import Stepper
 from dsim.studies.check import Check
-from dsim.studies.reference import certified
+from dsim.studies.reference import RADAU, Reference, certified
 from dsim.studies.steps import river
 from dsim.system import Flow, System
 
@@ -38,10 +38,12 @@ class OrderProblem:
     coarsest: int = 40
 
 
-def with_reference(name: str, system: System | Flow, y0: Array, duration: float) -> OrderProblem:
+def with_reference(
+    name: str, system: System | Flow, y0: Array, duration: float, other: Reference = RADAU
+) -> OrderProblem:
     """A problem without a closed form: two unrelated SciPy integrators stand in for the truth."""
     times = duration * np.arange(1, COMPARISONS + 1) / COMPARISONS
-    states, certificate = certified(system, y0, times)
+    states, certificate = certified(system, y0, times, other)
     return OrderProblem(name, system, np.asarray(y0, dtype=float), duration, states, certificate)
 
 
