@@ -122,6 +122,7 @@ STEPPERS: tuple[RuleStepper, ...] = (
     RK4(),
 )
 
+
 def _tied(rng: np.random.Generator, bodies: int, effect: Any) -> Attached:
     return Attached(effect, *corners(rng, bodies))
 
@@ -272,6 +273,34 @@ HARD_CASES: tuple[HardCase, ...] = (
         "a free spring net under internal central forces, 1e4 steps",
         "linear and angular momentum are constant",
         hard_cases.free_net,
+    ),
+    HardCase(
+        10,
+        "a racket that flips",
+        "I = (1, 2, 3), w = (0.01, 1, 0.01) rad/s; midpoint with h = 0.04 s (0.01 in full)",
+        "w2 changes its sign every 19.5528671 s, first after 10.9169 s; E and L are constant",
+        hard_cases.racket,
+    ),
+    HardCase(
+        11,
+        "a fast wobble",
+        "I = (1, 1.2, 2), w = (5, 1, 100) rad/s, h = 1/60 s",
+        "E and L are constant, the wobble goes on",
+        hard_cases.fast_wobble,
+    ),
+    HardCase(
+        12,
+        "a heavy top",
+        "I1 = 1, I3 = 0.5 kg m^2 about the tip, m g l = 1 N m, 30 degrees, w3 = 20 rad/s, 20 s",
+        "steady precession 0.1008813582 rad/s; let go it nods to 0.5338654 rad; it sleeps upright above w3 = 4",
+        hard_cases.spinning_top,
+    ),
+    HardCase(
+        13,
+        "quaternions that are only added to",
+        "w = 10 rad/s, h = 0.01 s, 1000 steps of q + h qdot",
+        "the norm is 1, the angle 100 rad",
+        hard_cases.added_quaternions,
     ),
     HardCase(
         41,

@@ -183,7 +183,9 @@ class Plan:
             frame = self.system.frame  # type: ignore[union-attr]
             beside = f" and {frame.particles} points" if frame.particles else ""
             size = f"{frame.bodies} bodies{beside}"
-            return "\n".join([f"plan: {size}, {type(self.stepper).__name__}, h = {self.h:.4g} s", *map(str, self.lines)])
+            return "\n".join(
+                [f"plan: {size}, {type(self.stepper).__name__}, h = {self.h:.4g} s", *map(str, self.lines)]
+            )
         size = f"{len(self.system.mass)} points" if isinstance(self.system, System) else f"{self.system.n} unknowns"
         head = f"plan: {size}, {type(self.stepper).__name__}, h = {self.h:.4g} s"
         return "\n".join([head, *(str(line) for line in self.lines)])

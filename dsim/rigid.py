@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
@@ -36,12 +36,12 @@ class RigidBodies(System):
     `AngularDrag`, `TorqueActuation`), and effects of points, which act on the centres of mass.  particles (N,) kg, and
     fixed, those of them that are pinned.  The gyroscopic torque is there of itself where it is not 0.
 
-    A state is y = [q, v], see `dsim.effects.bodies`; `state` makes one.  theta names "mass" (N+B,), particles first, and
-    "inertia" (B,6): xx, yy, zz, yz, xz, xy.  Raises ValueError on bad input.
+    A state is y = [q, v], see `dsim.effects.bodies`; `state` makes one.  theta names "mass" (N+B,), particles first,
+    and "inertia" (B,6): xx, yy, zz, yz, xz, xy.  Raises ValueError on bad input.
     """
 
     curved = True  # steppers turn by a rotation map
-    OF_MASS = ("mass_matrix", "_solver")
+    OF_MASS: ClassVar[tuple[str, ...]] = ("mass_matrix", "_solver")
 
     def __init__(
         self, mass: Numbers, inertia: Numbers, effects: Any = (), particles: Numbers = (), fixed: Any = ()
@@ -99,9 +99,7 @@ class RigidBodies(System):
             try:
                 rows[name] = np.array(np.broadcast_to(array, (self.frame.bodies, size)))
             except ValueError as error:
-                raise ValueError(
-                    f"{name} must have shape ({self.frame.bodies}, {size}); got {array.shape}"
-                ) from error
+                raise ValueError(f"{name} must have shape ({self.frame.bodies}, {size}); got {array.shape}") from error
         rows["attitude"] = as_unit("attitude", rows["attitude"], (None, 4))
         q = np.concatenate([rows["position"], rows["attitude"]], axis=1)
         return np.concatenate([q.ravel(), np.concatenate([rows["velocity"], rows["spin"]], axis=1).ravel()])
@@ -133,7 +131,7 @@ class RigidBodies(System):
         twin: Any = super().with_theta(theta)
         kept = tuple(effect for effect in twin.effects if effect.name != OWN_TORQUE)
         effects = (*kept, *twin._torque())
-        return replace(twin, effects=effects, layout=layout_of(self.own, effects))  # type: ignore[no-any-return]
+        return replace(twin, effects=effects, layout=layout_of(self.own, effects))
 
     def without(self, *names: str) -> RigidBodies:
         known = [effect.name for effect in self.effects]
@@ -145,7 +143,9 @@ class RigidBodies(System):
 
     def _round_torque(self) -> Gyroscopic | None:
         """Where the torque is left out, for it is 0: its derivative by the inertia is not."""
-        return None if any(effect.name == OWN_TORQUE for effect in self.effects) else Gyroscopic(self.inertia, self.frame)
+        return (
+            None if any(effect.name == OWN_TORQUE for effect in self.effects) else Gyroscopic(self.inertia, self.frame)
+        )
 
     def dtheta(self, t: float, q: Array, v: Array) -> csr_array:
         from scipy.sparse import csr_array, hstack
@@ -188,11 +188,11 @@ class RigidBodies(System):
         return csr_array((entries, place), shape=(self.n, self.n))
 
     @cached_property
-    def _solver(self) -> tuple[Array, Array, Array]:
-        """1/m of centres, and the inverse inertia: its six numbers, and whether all bodies stand in their axes."""
+    def _solver(self) -> tuple[Array, Array]:
+        """1/m of centres (N+B,1), and the six numbers of each inverse inertia."""
         inverse = np.linalg.inv(tensors(self.inertia))
         six = np.stack([inverse[:, i, j] for i, j in ENTRIES], axis=1)
-        return 1 / self.mass[:, None], six, inverse
+        return np.asarray(1 / self.mass[:, None]), six
 
     def inverse_root(self) -> csr_array:
         from scipy.sparse import csr_array
@@ -208,7 +208,7 @@ class RigidBodies(System):
         return out
 
     def stage_solve(self, w: Array) -> Array:
-        frame, (light, six, inverse) = self.frame, self._solver
+        frame, (light, six) = self.frame, self._solver
         if w.ndim > 1:
             return np.stack([self.stage_solve(column) for column in w.T], axis=1)
         out = np.empty(self.n)

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, partial
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -91,7 +91,7 @@ class System:
 
     components = 2  # a state is (q, v)
     curved = False  # positions add; those of rigid bodies do not
-    OF_MASS = ("masses",)  # cached properties that change with the system's own parameters
+    OF_MASS: ClassVar[tuple[str, ...]] = ("masses",)  # cached properties that change with the system's own parameters
 
     @property
     def n(self) -> int:

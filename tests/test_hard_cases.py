@@ -19,7 +19,7 @@ from dsim.report import hard_cases as report
 from dsim.report import sections
 from dsim.solve.linear import factorize
 from dsim.solve.newton import Status
-from dsim.steppers import RK4, ForwardEuler, ImplicitMidpoint, SymplecticEuler
+from dsim.steppers import RK4, ForwardEuler, ImplicitMidpoint, NormalisedEuler, SymplecticEuler
 from dsim.studies.hard_cases import HardCaseResult, Panel, select
 from dsim.studies.hard_cases.equilibria import plain_newton
 from dsim.studies.hard_cases.gradients import naive_direction, stale_checkpoint
@@ -39,7 +39,7 @@ def red(checks):
 
 
 def test_the_rows():
-    assert list(CASES) == [1, 2, 3, 4, 5, 6, 7, 8, 9, 41, 45]
+    assert list(CASES) == [1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 41, 45]
     assert all(case.title and case.setup and case.truth for case in CASES.values())
 
 
@@ -47,6 +47,10 @@ def test_the_rows():
 BOUNDS = {
     6: {">= 0.5", "<= 1e+12", "<= 1e-09"},
     7: {"<= 1e-08", "<= -0.05"},
+    10: {"<= 1e-12"},
+    11: {"<= 1e-12", ">= 0.999"},
+    12: {"<= 1e-06", "<= 1e-05", ">= 0.02", "<= 0.01"},
+    13: {"<= 1e-11", "<= 1e-14"},
     41: {">= 1", ">= 1e-06", "<= 1e-10", "<= 0.5", ">= 11", "<= 1", "<= 3"},
     45: {">= 0.01", "<= 1e-15", "<= 3641"},
 }
@@ -289,3 +293,42 @@ def test_the_section_of_the_report(quick):
     assert told == ["coincident ends", "Newton overshoots"]
     assert len(section.pictures) == 2 and not section.failed and len(section.tables[0].rows) == 2
     assert "hard-cases" in [job.key for job in sections.jobs()]
+
+
+# Rotation: 10 to 13 with a worse method in the survivor's place
+
+
+class Exponential(ImplicitMidpoint):
+    rotation = "exponential"
+
+
+@pytest.mark.parametrize(
+    "number, survivor, statement",
+    [
+        (10, SymplecticEuler(), "drift of |L|^2"),
+        (11, Exponential(), None),
+        (12, RK4(), None),
+        (12, SymplecticEuler(), "drift of the tilt in 20 s (rad)"),
+        (13, NormalisedEuler(), "angle lost (rad)"),
+    ],
+)
+def test_a_worse_rotation_is_red(number, survivor, statement):
+    """The exponential keeps E and |L| too (only the world's L drifts), and RK4 is as good for the top."""
+    result = CASES[number].run(survivor=survivor)
+    assert any(c.statement == statement for c in result.survivor if not c.passed) if statement else result.ok
+
+
+def test_flips_by_elliptic_functions_are_those_of_an_integrator():
+    from scipy.integrate import solve_ivp
+
+    from dsim.studies.hard_cases.rotation import intermediate_axis
+
+    moments = np.array([1.0, 2.0, 3.0])
+    for w0 in ([0.3, 1.0, 0.9], [-0.3, 0.8, 0.9], [0.3, -0.5, 1.2]):
+        first, half = intermediate_axis(moments, w0)
+        flow = lambda t, w: np.cross(moments * w, w) / moments  # noqa: E731
+        crossing = lambda t, w: w[1]  # noqa: E731
+        found = solve_ivp(flow, (0, 3 * half), w0, "DOP853", rtol=1e-11, atol=1e-12, events=crossing).t_events[0]
+        assert np.allclose(found[:2], [first, first + half], rtol=1e-8)
+    with pytest.raises(ValueError, match="about the largest moment"):
+        intermediate_axis(moments, [1.0, 0.1, 0.0])

@@ -63,7 +63,9 @@ def test_matrices_give_their_quaternion_back(r):
     assert np.abs(rotation.to_matrix(q) - R).max() <= ROUND_OFF and q[0] >= 0
 
 
-@pytest.mark.parametrize("bad, words", [([0, 0, 0, 0], "other than 0"), ([1, 0, 0], "shape"), ([1, np.nan, 0, 0], "finite")])
+@pytest.mark.parametrize(
+    "bad, words", [([0, 0, 0, 0], "other than 0"), ([1, 0, 0], "shape"), ([1, np.nan, 0, 0], "finite")]
+)
 def test_what_is_no_attitude_is_refused(bad, words):
     with pytest.raises(ValueError, match=f"q must.*{words}"):
         rotation.as_unit("q", bad)

@@ -77,8 +77,10 @@ def to_matrix(q: Array) -> Array:
     """R(q) (...,3,3) of a unit quaternion."""
     w, x, y, z = (q[..., i] for i in range(4))
     out = np.empty((*q.shape[:-1], 3, 3))
-    out[..., 0, 0], out[..., 1, 1], out[..., 2, 2] = 1 - 2 * (y * y + z * z), 1 - 2 * (x * x + z * z), 1 - 2 * (
-        x * x + y * y
+    out[..., 0, 0], out[..., 1, 1], out[..., 2, 2] = (
+        1 - 2 * (y * y + z * z),
+        1 - 2 * (x * x + z * z),
+        1 - 2 * (x * x + y * y),
     )
     out[..., 0, 1], out[..., 1, 0] = 2 * (x * y - w * z), 2 * (x * y + w * z)
     out[..., 0, 2], out[..., 2, 0] = 2 * (x * z + w * y), 2 * (x * z - w * y)

@@ -1,5 +1,4 @@
-"""The lecture's "force objects".  An effect describes a force; `System` binds it to its points once, `RigidBodies` to its
-bodies."""
+"""The lecture's "force objects".  A description; `System` binds it once to points, `RigidBodies` to bodies."""
 
 from dsim.effects.actuation import Actuation
 from dsim.effects.at_points import Attached

@@ -22,7 +22,12 @@ from dsim.effects.rows import products
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
-OPTIONAL = ("energy", "dtheta", "at", "columns")  # capabilities of the inner effect that are passed on where it has them
+OPTIONAL = (
+    "energy",
+    "dtheta",
+    "at",
+    "columns",
+)  # capabilities of the inner effect that are passed on where it has them
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,7 +122,8 @@ class Markers:
     def twist(self, torques: Array) -> Array:
         """Torques (A,3) at the arms, in the body frame, as a generalized force (n,)."""
         dofs = self.layout.spin_dofs[self.bodies]
-        return np.bincount(dofs.ravel(), np.ascontiguousarray(torques).ravel(), self.layout.n)
+        total: Any = np.bincount(dofs.ravel(), np.ascontiguousarray(torques).ravel(), self.layout.n)
+        return np.asarray(total)
 
     def jacobian(self, q: Array, arms: Array | None = None) -> csr_array:
         """J, CSR (3M,n).  With arms (A,3) in place of the offsets, only what turns move: -R [arm]x."""
@@ -194,7 +200,7 @@ class AtPoints:
 
     @property
     def dq(self) -> Any:
-        by_place, by_velocity, turns = self._needs
+        by_place, _, turns = self._needs
         return self._dq if by_place or turns else None
 
     @property

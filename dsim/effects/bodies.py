@@ -105,7 +105,7 @@ class BodyLayout:
         return np.asarray(3 * self.particles + 6 * np.arange(self.bodies)[self.chosen, None] + np.arange(3, 6))
 
     def small_turn(self, q: Array, dq: Array) -> Array:
-        """The change (n,) of place that dq (width,) is: turns in the body frame, 2 vec(q* (x) dq); |q| does not count."""
+        """The change (n,) of place that dq (width,) is: turns in the body frame, 2 vec(q* (x) dq), for any |q|."""
         out = np.empty(self.n)
         self.of_particles(out)[:] = self.of_particles(dq)
         self.twists(out)[:, :3] = self.poses(dq)[:, :3]

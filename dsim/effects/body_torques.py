@@ -101,7 +101,7 @@ class TorqueActuation:
 
     @property
     def columns(self) -> slice:
-        return self._rows().columns  # type: ignore[no-any-return]
+        return self._rows().columns
 
     def _torque(self, t: float, q: Array) -> Array:
         """(B,3) in the body frame."""

@@ -90,7 +90,7 @@ class Gyroscopic:
         return csr_array((blocks.ravel(), (rows.ravel(), columns.ravel())), shape=(self.layout.n, 6 * len(w)))
 
     def vjp(self, t: float, q: Array, v: Array, u: Array) -> tuple[float, Array, Array]:
-        """With b the bar of the torque: by omega, I (omega x b) - (I omega) x b; by I, (omega x b) omega^T, symmetric."""
+        """With b the bar of the torque: by omega, I (omega x b) - (I omega) x b; by I, (omega x b) omega^T."""
         w, b, by_v = self.layout.spins(v), self.layout.spins(u), np.zeros(self.layout.n)
         turned = cross(w, b)
         inertia, kept = self.inertia[self.acting], self.acting

@@ -47,7 +47,9 @@ class MassProperties:
 
     def about(self, point: Any) -> Array:
         """The inertia (3,3) about another point, by the theorem of parallel axes: I + m (|d|^2 1 - d d^T)."""
-        return np.asarray(self.inertia + _points(np.array([self.mass]), (self.centre - as_array("point", point, (3,)))[None]))
+        return np.asarray(
+            self.inertia + _points(np.array([self.mass]), (self.centre - as_array("point", point, (3,)))[None])
+        )
 
     def __add__(self, other: MassProperties) -> MassProperties:
         """Both together, rigidly joined."""
@@ -112,7 +114,9 @@ def polyhedron(vertices: Any, mass: float) -> MassProperties:
     try:
         hull = ConvexHull(x)
     except QhullError as error:
-        raise ValueError(f"vertices must span a volume; {len(x)} points do not: {str(error).splitlines()[0]}") from error
+        raise ValueError(
+            f"vertices must span a volume; {len(x)} points do not: {str(error).splitlines()[0]}"
+        ) from error
     faces = hull.simplices.copy()
     inside = x.mean(axis=0)
     corners = x[faces] - inside
@@ -175,11 +179,14 @@ def read_mesh(path: str | Path) -> tuple[Array, NDArray[np.int64]]:
     if not path.is_file():
         raise FileNotFoundError(f"path must be a mesh file; there is none at {path}")
     try:
-        mesh = trimesh.load(path, force="mesh", process=True)
+        mesh: Any = trimesh.load(path, force="mesh", process=True)
         mesh.merge_vertices()
-        vertices, faces = np.asarray(mesh.vertices, dtype=float), np.asarray(mesh.faces, dtype=np.int64)
+        vertices: Array = np.array(mesh.vertices, dtype=np.float64)
+        faces = np.array(mesh.faces, dtype=np.int64)
     except Exception as error:  # trimesh raises what its readers raise
-        raise ValueError(f"path must be an OBJ, PLY or STL mesh; {path.name} is not ({type(error).__name__})") from error
+        raise ValueError(
+            f"path must be an OBJ, PLY or STL mesh; {path.name} is not ({type(error).__name__})"
+        ) from error
     if not len(faces):
         raise ValueError(f"path must hold triangles; {path.name} has none")
     return vertices, faces

@@ -9,6 +9,7 @@ from dsim.steppers.stepper import Counters, Linearization, Step, Stepper
 __all__ = [
     "BDF2",
     "RK4",
+    "RKMK4",
     "BackwardEuler",
     "Counters",
     "ForwardEuler",
@@ -16,7 +17,6 @@ __all__ = [
     "ImplicitRuleStepper",
     "Linearization",
     "NormalisedEuler",
-    "RKMK4",
     "RuleStepper",
     "Step",
     "Stepper",

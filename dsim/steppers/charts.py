@@ -18,10 +18,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from dsim.arrays.checks import Array
 from dsim.arrays import rotation
+from dsim.arrays.checks import Array
+from dsim.arrays.scatter import diagonal
 from dsim.effects.bodies import BodyLayout
 from dsim.rigid import RigidBodies
+from dsim.solve.linear import DENSE_SIZE
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
@@ -52,6 +54,18 @@ class _Bodies:
         self._norms = np.sqrt(_squares(system.frame, self._given))  # 1, but for a start that is given otherwise
         self.start = np.array(self._given)
         self.frame.turns(self.start)[:] /= self._norms
+
+        self._matrices: dict[bytes, tuple[Any, Any, Any]] = {}
+
+    def _load(self, t: float, place: tuple[Array, Array], k: Array, change: tuple[Array, Array, Array]) -> Array:
+        """The change of f - M k from (small turn, dv, dtheta); the matrices of a place are made once for all."""
+        key = b"".join([np.float64(t).tobytes(), *(part.tobytes() for part in (*place, k))])
+        if key not in self._matrices:
+            partials = self.system.stage_partials(t, *place)
+            self._matrices[key] = (*partials, self.system.stage_dtheta(t, place, k))
+        by_q, by_v, by_theta = self._matrices[key]
+        load: Array = by_q @ change[0] + by_v @ change[1] + by_theta @ change[2]
+        return load
 
     def _unit(self, q: Array) -> Array:
         q = np.array(q)
@@ -128,7 +142,7 @@ class Chart(_Bodies):
 
     def coordinates_tangent(self, y: Array, dy: Array, dstart: Array) -> tuple[Array, Array]:
         """Changes of xi and v from those of a state (not the start) and of the start: T^-1 (turn - R(map)^T dstart)."""
-        frame, (q, v), width = self.frame, self.blocks(y), self.system.width
+        frame, (q, _), width = self.frame, self.blocks(y), self.system.width
         unit = y[:width].copy()
         turned = frame.small_turn(unit, dy[:width])
         frame.spins(turned)[:] /= _squares(frame, unit)
@@ -178,25 +192,26 @@ class Chart(_Bodies):
         return self.system.stage_residual(k, t, self.reached(xi), v)
 
     def stage_matrix(self, t: float, place: Any, weights: tuple[float, float]) -> Any:
-        """M - b K T - c D."""
-        from scipy.sparse import csr_array
-
-        q, (b, c) = self.reached(place[0]), weights
-        total = self.system.mass_matrix
-        if b:
-            total = total - b * self._held(self.system.dq(t, q, place[1]) @ self._block(place[0]))
-        if c:
-            total = total - c * self._held(self.system.dv(t, q, place[1]))
-        return csr_array(total)
+        """M - b K T - c D; dense where a dense factorization is quicker."""
+        system, q, (b, c) = self.system, self.reached(place[0]), weights
+        shaped = (lambda m: m.toarray()) if self.n <= DENSE_SIZE else (lambda m: m)
+        total = shaped(system.mass_matrix)
+        if b and system.having("dq"):
+            total = total - b * self._held(shaped(system.dq(t, q, place[1])) @ shaped(self._block(place[0])))
+        if c and system.having("dv"):
+            total = total - c * self._held(shaped(system.dv(t, q, place[1])))
+        return total
 
     def _held(self, matrix: Any) -> Any:
         """Pinned rows and columns cleared."""
-        if self.system.free.all():
+        free = self.system.free
+        if free.all():
             return matrix
-        from dsim.arrays.scatter import diagonal
-
-        free = diagonal(self.system.free)
-        return free @ matrix @ free
+        return (
+            free[:, None] * matrix * free
+            if isinstance(matrix, np.ndarray)
+            else diagonal(free) @ matrix @ diagonal(free)
+        )
 
     def _block(self, xi: Array) -> csr_array:
         """T, block-diagonal (n,n)."""
@@ -214,7 +229,7 @@ class Chart(_Bodies):
         return self.system.stage_solve(w)
 
     def stage_tangent(self, t: float, place: Any, k: Array, dplace: Any, dtheta: Array) -> Array:
-        return self.system.stage_tangent(t, (self.reached(place[0]), place[1]), k, dplace, dtheta)
+        return self._load(t, (self.reached(place[0]), place[1]), k, (*dplace, dtheta))
 
     def stage_vjp(self, t: float, place: Any, k: Array, w: Array, theta_bar: Array) -> tuple[Array, Array]:
         return self.system.stage_vjp(t, (self.reached(place[0]), place[1]), k, w, theta_bar)
@@ -298,9 +313,9 @@ class LieChart(_FirstOrder):
         r, w, dr, dw = (self.frame.spins(a) for a in (xi, v, dxi, dv))
         donce = rotation.cross(dr, w) + rotation.cross(r, dw)
         out = dv.copy()
-        self.frame.spins(out)[:] += donce / 2 + (
-            rotation.cross(dr, rotation.cross(r, w)) + rotation.cross(r, donce)
-        ) / 12
+        self.frame.spins(out)[:] += (
+            donce / 2 + (rotation.cross(dr, rotation.cross(r, w)) + rotation.cross(r, donce)) / 12
+        )
         moved = self._chart.carry((xi, v), (dxi, dv), dplace[1])
         load = self._chart.stage_tangent(t, (xi, v), self._parts(k)[1], moved, dtheta)
         return np.concatenate([out, self.system.stage_solve(load)])
@@ -373,7 +388,7 @@ class Ambient(_FirstOrder):
         out = frame.change_of(q, dv)
         frame.turns(out)[:] += frame.turns(frame.change_of(dq, v))  # q (x) omega is linear in q
         moved = self._small_turn(q, dq), dv
-        load = self.system.stage_tangent(t, (self._unit(q), v), self._parts(k)[1], moved, dtheta)
+        load = self._load(t, (self._unit(q), v), self._parts(k)[1], (*moved, dtheta))
         return np.concatenate([out, self.system.stage_solve(load)])
 
     def _small_turn(self, q: Array, dq: Array) -> Array:
@@ -388,7 +403,7 @@ class Ambient(_FirstOrder):
         turn_bar = np.array(turn_bar)
         frame.spins(turn_bar)[:] /= _squares(frame, q)
         out = frame.small_turn_vjp(q, turn_bar)
-        # the change of centres is theirs alone; of quaternions, 1/2 q (x) (0, omega) with its transpose by the conjugate
+        # 1/2 q (x) (0, omega) is transposed by the conjugate; centres do not depend on where they are
         frame.turns(out)[:] -= frame.turns(frame.change_of(q_bar, v))
         return (np.concatenate([out, v_bar + frame.change_vjp(q, q_bar)]),)
 

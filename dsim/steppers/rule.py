@@ -185,7 +185,8 @@ def _changes(system: Ode, dy0: Array) -> tuple[Any, Values]:
     """The change of the start that coordinates are about, and those of the blocks of past states."""
     if not system.curved:
         return 0.0, _values(system, _states(system, dy0))
-    start, blocks = system.enter_tangent(dy0)
+    chart: Any = system
+    start, blocks = chart.enter_tangent(dy0)
     return start, {("y", 0, c): block for c, block in enumerate(blocks)}
 
 
@@ -373,7 +374,8 @@ class RuleLinearization:
 
     def _collect(self, bars: Values, zero: Array, start: Any) -> Array:
         """Bars of the state blocks -> (history * size,), nothing at the velocity of pinned points."""
-        ode, count = self.system, self.step.y0.size // self.system.size
+        ode: Any = self.system
+        count = self.step.y0.size // ode.size
         if ode.curved:
             return ode.enter_vjp(start, [bars.get(("y", 0, c), zero) for c in range(ode.components)])
         blocks = [bars.get(("y", -place, c), zero) for place in range(count) for c in range(ode.components)]
