@@ -34,8 +34,7 @@ def entries(name: str, expected: Array, found: Array, tolerance: float, values: 
 
 def _panels(count: int, name: str) -> tuple[Figure, list[Axes]]:
     """Panels side by side, placed by hand: a layout that measures every text takes most of the time of a picture."""
-    figure = Figure(figsize=(4.4 * count, 3.4))
-    figure.set_layout_engine("none")
+    figure = Figure(figsize=(4.4 * count, 3.4), layout="none")  # type: ignore[arg-type]  # as documented
     axes = list(figure.subplots(1, count, squeeze=False)[0])
     figure.subplots_adjust(left=0.9 / (4.4 * count), right=0.985, bottom=0.155, top=0.82, wspace=0.3)
     figure.suptitle(name, fontsize=11)
