@@ -18,6 +18,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -79,6 +80,7 @@ class Jail:
         words += ["--size", str(TEMPORARY), "--perms", "1777", "--tmpfs", "/tmp"]
         words += ["--ro-bind", str(self.inside), "/sandbox/inside", "--ro-bind", str(self.kit), "/sandbox/kit"]
         words += ["--ro-bind", str(self.submission), "/sandbox/submission.py", "--chdir", "/tmp"]
+        words += _closed(words)
         for name, value in _variables().items():
             words += ["--setenv", name, value]
         words += ["--"]
@@ -132,6 +134,12 @@ def _python_mounts() -> list[str]:
             if part.is_dir():
                 words += ["--ro-bind", str(part), f"/sandbox/packages/{part.name}"]
     return words
+
+
+def _closed(words: Sequence[str]) -> list[str]:
+    """Every mount of bubblewrap's own but /tmp becomes read-only: an ordinary user would own it."""
+    made = [place for flag, place in pairwise(words) if flag == "--tmpfs" and place != "/tmp"]
+    return [word for place in (*made, "/dev", "/") for word in ("--remount-ro", place)]
 
 
 def _hidden(paths: Sequence[str]) -> list[str]:

@@ -7,11 +7,16 @@ import os
 import re
 import shutil
 import subprocess
+import sys
+from contextlib import suppress
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
+import numpy as np
 import pytest
 
+import dsim
 from dsim.grading import grade as grading
 from dsim.grading.sandbox import USER, Jail, SandboxedStudent, SandboxError, check_sandbox
 from dsim.grading.student import StudentReply, StudentTimeout
@@ -414,6 +419,29 @@ def test_the_sandbox_restarts_after_it_was_killed(tmp_path: Path) -> None:
         with student.item(2.0):
             assert student.call("live") == 1
     assert not leftovers()
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="this run is by an ordinary user already")
+def test_it_holds_for_an_ordinary_user() -> None:
+    """Who makes the name space owns what bubblewrap puts into it: all of that must be read-only too."""
+    with TemporaryDirectory() as directory:
+        os.chmod(directory, 0o755)
+        shutil.copytree(Path(dsim.__file__).parent, Path(directory, "dsim"))
+        subprocess.run(["chmod", "-R", "a+rX", directory], check=True)
+        packages = Path(np.__file__).parents[1]
+        environment = {"PATH": "/usr/bin:/bin", "HOME": "/tmp", "PYTHONPATH": f"{directory}:{packages}"}
+        user = ["setpriv", "--reuid", "64321", "--regid", "64321", "--clear-groups", "env"]
+        wanted = f"import sys; assert sys.version_info[:2] == {sys.version_info[:2]}; import numpy, scipy"
+        for python in (os.path.realpath(sys.executable), "/usr/bin/python3"):
+            given = {"cwd": directory, "env": environment, "capture_output": True, "text": True}
+            with suppress(OSError):
+                if subprocess.run([*user, python, "-c", wanted], **given).returncode == 0:  # type: ignore[call-overload]
+                    break
+        else:
+            pytest.skip("no Python here that another user may run")
+        program = "from dsim.grading.sandbox import check_sandbox; check_sandbox(); print('holds')"
+        found = subprocess.run([*user, python, "-c", program], **given)  # type: ignore[call-overload]
+    assert found.stdout == "holds\n", found.stderr
 
 
 def test_without_bubblewrap_nothing_is_graded(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
