@@ -100,9 +100,14 @@ def gradescope(
 def check_submission(
     file: Annotated[Path, typer.Argument(help="Your .py or .ipynb.", metavar="FILE")],
     number: Annotated[str, typer.Option("--assignment", help="NN, if the name does not begin with it.")] = "",
+    pictures: Annotated[
+        Path | None, typer.Option("--pictures", help="By default FILE-feedback beside the file.", metavar="DIR")
+    ] = None,
     where: Where = None,
 ) -> None:
-    """The public items on your own file, on your own machine, with hints.  The hidden ones count as well.
+    """The public items on your own file, on your own machine, with hints, and pictures of arrays that are off.
+
+    The hidden items count as well.
 
     Exit code 0: every public item is complete. 1: points are missing. 2: bad usage.
 
@@ -112,4 +117,4 @@ def check_submission(
     """
     from dsim.report import assignments as report
 
-    raise typer.Exit(report.check_submission(file, number, where))
+    raise typer.Exit(report.check_submission(file, number, where, pictures))

@@ -354,8 +354,9 @@ def test_help_has_gradients(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_the_section(monkeypatch: pytest.MonkeyPatch) -> None:
     """Every part in its order; the studies themselves are those tested above."""
-    monkeypatch.setattr(cost, "gradient_cost", lambda *a: counted())
-    monkeypatch.setattr(gradient_cost, "orders", lambda *a: converged())
+    studies = counted(), converged()  # made before the name they are made with is exchanged
+    monkeypatch.setattr(cost, "gradient_cost", lambda *a: studies[0])
+    monkeypatch.setattr(gradient_cost, "orders", lambda *a: studies[1])
     monkeypatch.setattr(gradients, "to_svg", lambda figure: b"<svg></svg>")
     monkeypatch.setattr(gradients.catalog, "STEPPERS", (BackwardEuler(), RK4()))
     monkeypatch.setattr(gradients, "PARTS", gradients.PARTS[:4])

@@ -96,7 +96,8 @@ class Follower(Springs):
     """
 
     def __init__(self, links, stiffness, weight, length):
-        points = [(0.0, -1.02 * length * i) for i in range(links + 1)]
+        hung = length + weight * np.arange(links, 0, -1) / stiffness  # without the jet
+        points = [(0.0, -down) for down in (0.0, *np.cumsum(hung))]
         edges = [(i, i + 1) for i in range(links)]
         super().__init__(points, edges, [0], stiffness, np.tile([0.0, -weight], links))
         self.links = links

@@ -8,7 +8,6 @@ What does not: the network is open, files that anybody may read can be read, and
 from __future__ import annotations
 
 import os
-import shutil
 import signal
 import sys
 import time
@@ -48,12 +47,9 @@ class OtherUser(Jail):
 
         directory.chmod(0o755)
         staged = super().staged(directory)
-        for name in ("inside", "packages", "home"):
+        for name in ("packages", "home"):
             (directory / name).mkdir()
             (directory / name).chmod(0o755)  # whatever the umask
-        for path in INSIDE.glob("*.py"):
-            shutil.copyfile(path, directory / "inside" / path.name)
-            (directory / "inside" / path.name).chmod(0o644)
         for module in (numpy, scipy):
             home = Path(str(module.__file__)).parent
             for part in (home, home.with_name(f"{home.name}.libs")):

@@ -21,7 +21,7 @@ from dsim.grading import parcel
 from dsim.grading.grade import AHEAD, Task, grade_one
 from dsim.grading.results import RESULTS
 from dsim.grading.sandbox import SandboxError, check_sandbox
-from dsim.grading.submission import SubmissionError, read
+from dsim.grading.submission import SubmissionError, name_of, read
 from dsim.pictures.files import write_atomically
 
 CONNECT = 10.0  # s until a scheduler must have answered
@@ -164,7 +164,7 @@ class Cluster:
                 raise _told(trouble, f"that had to grade {task.submission.name}")
             else:
                 written(future.result(), task.to)
-                yield task.submission.stem
+                yield name_of(task.submission)
 
 
 @lru_cache(maxsize=4)

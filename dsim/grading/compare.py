@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from dsim.arrays.checks import Array
+from dsim.grading.curves import Entries, Lines, Picture
 from dsim.grading.student import ItemLost
 
 
@@ -38,11 +39,25 @@ def close(name: str, value: Any, expected: Any, tolerance: float) -> Array:
     scale = max(1.0, float(np.abs(expected).max(initial=0.0)))
     error = float(np.abs(found - expected).max(initial=0.0)) / scale
     if not error <= tolerance:
-        raise ItemLost(f"{name} is off by {error:.1e}, relative; allowed is {tolerance:.0e}", error, tolerance)
+        picture = Entries(name, expected, found, tolerance * scale) if expected.size > 1 else None
+        raise ItemLost(f"{name} is off by {error:.1e}, relative; allowed is {tolerance:.0e}", error, tolerance, picture)
     return found
 
 
-def at_most(name: str, error: float, tolerance: float) -> None:
+def at_most(name: str, error: float, tolerance: float, picture: Picture | None = None) -> None:
     """error <= tolerance; NaN is not."""
     if not error <= tolerance:
-        raise ItemLost(f"{name} is {error:.1e}; allowed is {tolerance:.0e}", float(error), tolerance)
+        raise ItemLost(f"{name} is {error:.1e}; allowed is {tolerance:.0e}", float(error), tolerance, picture)
+
+
+def order(h: Any, errors: Any, expected: int, low: float, high: float) -> float:
+    """The observed order of accuracy, log(e1/e2) / log(h1/h2) of the last two errors, if it lies in low to high."""
+    h, errors = np.asarray(h, float), np.clip(np.nan_to_num(errors, nan=1e15), 1e-15, 1e15)
+    found = float(np.log(errors[-2] / errors[-1]) / np.log(h[-2] / h[-1]))
+    if not low <= found <= high:
+        slope = errors[-1] * (h / h[-1]) ** expected
+        drawn = (("your error", h, errors), (f"order {expected}", h, slope))
+        picture = Lines(f"observed order {found:.1f}", "step size h (s)", "error", drawn, log="xy")
+        words = f"the observed order is {found:.1f}; it must be about {expected}"
+        raise ItemLost(words, abs(found - expected), max(high - expected, expected - low), picture)
+    return found

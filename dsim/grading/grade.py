@@ -19,7 +19,7 @@ from dsim.grading.items import Item, Outcome
 from dsim.grading.results import Graded
 from dsim.grading.sandbox import Jail, SandboxedStudent, SandboxError, check_sandbox
 from dsim.grading.student import LocalStudent
-from dsim.grading.submission import KINDS, SubmissionError, read
+from dsim.grading.submission import KINDS, SubmissionError, name_of, read
 from dsim.pictures.files import write_atomically
 
 Say = Callable[[int, int, str], None]  # (done, total, name)
@@ -91,13 +91,13 @@ def grade(
         check_sandbox()
     secret = secret_of(to / SECRET)
     rubrics.checks(items, assignment / "tests", secret)  # a mistake of ours shows before the first submission
-    missing = [path for path in submissions if results.read(to / path.stem, items) is None]
+    missing = [path for path in submissions if results.read(to / results.folder_of(path), items) is None]
     done = len(submissions) - len(missing)
-    tasks = (Task(assignment, path, to / path.stem, secret, sandboxed) for path in missing)
+    tasks = (Task(assignment, path, to / results.folder_of(path), secret, sandboxed) for path in missing)
     for name in _graded(tasks, jobs) if isinstance(jobs, int) else jobs.graded(tasks, sandboxed):
         done += 1
         say(done, len(submissions), name)
-    rows = [row for path in submissions if (row := results.read(to / path.stem, items)) is not None]
+    rows = [row for path in submissions if (row := results.read(to / results.folder_of(path), items)) is not None]
     results.write_class(rows, items, to)
     return [dict(row) for row in rows]
 
@@ -131,8 +131,8 @@ def grade_one(task: Task) -> str:
         submission = read(task.submission)
     except (SubmissionError, OSError) as error:
         lost = tuple(Outcome(item, 0.0, "the submission could not be read") for item in items)
-        results.write(Graded(task.submission.stem, lost, refused=str(error), sandboxed=task.sandboxed), task.to)
-        return task.submission.stem
+        results.write(Graded(name_of(task.submission), lost, refused=str(error), sandboxed=task.sandboxed), task.to)
+        return name_of(task.submission)
     with TemporaryDirectory(prefix="dsim-submission-") as directory:
         path = Path(directory) / "submission.py"
         path.write_text(submission.source, encoding="utf-8")

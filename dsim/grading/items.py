@@ -13,6 +13,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any, Literal, Protocol
 
+from dsim.grading.curves import Picture
 from dsim.grading.inside.protocol import ProtocolError
 from dsim.grading.sandbox import SandboxError
 from dsim.grading.student import ItemLost, StudentError, StudentReply, StudentTimeout
@@ -36,12 +37,13 @@ class Item:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What one item gave: points, and why some were lost ("" where none were)."""
+    """What one item gave: points, why some were lost ("" where none were), and a picture of it where there is one."""
 
     item: Item
     score: float
     why: str = ""
     seconds: float = 0.0
+    picture: Picture | None = None
 
     @property
     def lost(self) -> bool:
@@ -133,12 +135,12 @@ def run(
 
 def run_item(item: Item, check: Callable[..., Any], student: Gradable) -> Outcome:
     """One item: full points where the check passes, else the largest part that it awarded."""
-    start, why = time.monotonic(), ""
+    start, why, picture = time.monotonic(), "", None
     try:
         with student.item(item.timeout):
             check(student)
     except (ItemLost, StudentError, StudentTimeout, StudentReply, ProtocolError) as error:
-        why = str(error)
+        why, picture = str(error), getattr(error, "picture", None)
     except AssertionError as error:
         why = str(error) or "what came back is not what was asked for"
     except SandboxError:  # the grader's trouble, not the student's
@@ -148,7 +150,13 @@ def run_item(item: Item, check: Callable[..., Any], student: Gradable) -> Outcom
     seconds = time.monotonic() - start
     if not why:
         return Outcome(item, float(item.points), "", seconds)
-    return Outcome(item, round(student.awarded * item.points, 2), why.splitlines()[0][:400], seconds)
+    return Outcome(item, round(student.awarded * item.points, 2), one_line(why), seconds, picture)
+
+
+def one_line(text: str) -> str:
+    """The first line, printable, of decent length: a text may come from a submission."""
+    first = next((line for line in text.splitlines() if line.strip()), "no reason was given")
+    return "".join(c if c.isprintable() else "?" for c in first)[:400]
 
 
 def prepared(check: Callable[..., Any], number: int) -> Callable[[Any], Any]:

@@ -3,14 +3,22 @@
 from __future__ import annotations
 
 import csv
+import hashlib
 import io
 import json
+import os
+import pickle
+import re
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
+from statistics import median
 from typing import Any
 
+from dsim.grading.curves import Picture
 from dsim.grading.items import Item, Outcome
 from dsim.pictures.files import write_atomically
 
@@ -55,25 +63,60 @@ def as_gradescope(graded: Graded) -> dict[str, Any]:
             "extra_data": {"submission": graded.name, "sandboxed": graded.sandboxed}}  # fmt: skip
 
 
-def told(outcome: Outcome) -> str:
-    """Why points were lost, and one hint; inputs are never shown."""
-    return f"{outcome.why}\n\nHint: {outcome.item.hint}" if outcome.lost else ""
+def told(outcome: Outcome, why: Callable[[str], str] = str) -> str:
+    """Why points were lost, and one hint; inputs are never shown.  why: how the reason, theirs perhaps, is written."""
+    return f"{why(outcome.why)}\n\nHint: {outcome.item.hint}" if outcome.lost else ""
 
 
-def feedback(graded: Graded) -> str:
-    """The same for people."""
-    lines = [f"# {graded.name}: {graded.score:g} of {graded.most}", ""]
+def picture_of(outcome: Outcome) -> bytes | None:
+    """The PNG of an outcome, None where there is none.  A picture that cannot be drawn never costs a grade."""
+    if outcome.picture is None or not outcome.lost:
+        return None
+    with suppress(Exception):
+        return _drawn(_Same(outcome.picture, outcome.item.visible == "public"))
+    return None
+
+
+class _Same:
+    """Equal for pictures of equal numbers: a mistake that many of a class make is drawn once in a process."""
+
+    def __init__(self, picture: Picture, public: bool) -> None:
+        self.picture, self.public = picture, public
+        self._key = pickle.dumps((picture, public))  # ours, never anything that came from a submission as bytes
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _Same) and self._key == other._key
+
+    def __hash__(self) -> int:
+        return hash(self._key)
+
+
+@lru_cache(maxsize=64)
+def _drawn(same: _Same) -> bytes:
+    return same.picture.png(same.public)
+
+
+def feedback(graded: Graded, pictures: Collection[str] = ()) -> str:
+    """The same for people.  pictures: ids of the items that have one, ID.png, beside it."""
+    lines = [f"# {_plain(graded.name)}: {graded.score:g} of {graded.most}", ""]
     if not graded.sandboxed:
         lines += ["**Graded without a sandbox: do not trust this grade.**", ""]
     if graded.refused:
-        lines += [f"Not graded: {graded.refused}", ""]
+        lines += [f"Not graded: {_plain(graded.refused)}", ""]
     for outcome in graded.outcomes:
         item = outcome.item
         lines.append(f"## {item.title}: {outcome.score:g} of {item.points}")
-        lines += ["", told(outcome), ""] if outcome.lost else [""]
+        lines += ["", told(outcome, _plain), ""] if outcome.lost else [""]
+        if item.id in pictures:
+            lines += [f"![{item.title}: what came back, and what was asked for]({item.id}.png)", ""]
     if graded.notes.strip():
         lines += ["## What your program printed last", "", "```text", _fenced(graded.notes), "```", ""]
     return "\n".join(lines)
+
+
+def _plain(text: str) -> str:
+    """Text as it stands, in Markdown: nothing in it is a link, a picture, code or HTML."""
+    return re.sub(r"([\\`\[\]<&])", r"\\\1", text)
 
 
 def _fenced(text: str) -> str:
@@ -82,9 +125,23 @@ def _fenced(text: str) -> str:
     return "\n".join("".join(c if c.isprintable() else "?" for c in line)[:200] for line in lines)
 
 
+def folder_of(path: Path) -> str:
+    """The folder of a submission in the directory of grades: its name, where that can be one and nothing else's."""
+    safe = re.sub(r"[^\w .+=@,()-]", "_", path.stem).strip()
+    if safe == path.stem and not safe.startswith(".") and safe not in (GRADES, SUMMARY):
+        return safe
+    return f"_{safe[:60]}-{hashlib.sha256(os.fsencode(path.stem)).hexdigest()[:8]}"
+
+
 def write(graded: Graded, directory: Path) -> None:
-    """Both files of one submission; results.json comes last: where it is, the submission is done."""
-    write_atomically(directory / FEEDBACK, feedback(graded).encode())
+    """The files of one submission; results.json comes last: where it is, the submission is done."""
+    drawn = {outcome.item.id: png for outcome in graded.outcomes if (png := picture_of(outcome)) is not None}
+    for outcome in graded.outcomes:
+        if outcome.item.id in drawn:
+            write_atomically(directory / f"{outcome.item.id}.png", drawn[outcome.item.id])
+        else:  # of an earlier run
+            (directory / f"{outcome.item.id}.png").unlink(missing_ok=True)
+    write_atomically(directory / FEEDBACK, feedback(graded, drawn).encode())
     data = as_gradescope(graded)
     write_atomically(directory / RESULTS, (json.dumps(data, indent=1, allow_nan=False) + "\n").encode())
 
@@ -121,12 +178,24 @@ def _harmless(name: str) -> str:
 
 
 def summary(rows: Sequence[Mapping[str, Any]], items: Sequence[Item]) -> str:
-    """How the class did, items most often lost first."""
+    """How the class did: scores in ten bands, then the items most often lost first."""
     lost = Counter({item.id: sum(1 for row in rows if row[item.id] < item.points) for item in items})
     titles = {item.id: item.title for item in items}
     scores = sorted(float(row["score"]) for row in rows)
-    middle = scores[len(scores) // 2] if scores else 0.0
-    lines = [f"# {len(rows)} submissions, median {middle:g} of {sum(item.points for item in items)}", "",
+    most = sum(item.points for item in items)
+    middle = median(scores) if scores else 0.0
+    lines = [f"# {len(rows)} submissions, median {middle:g} of {most}", "", *_bands(scores, most), "",
              "| item | lost by | of |", "|---|---|---|"]  # fmt: skip
     lines += [f"| {titles[name]} | {count} | {len(rows)} |" for name, count in lost.most_common()]
     return "\n".join(lines) + "\n"
+
+
+def _bands(scores: Sequence[float], most: int) -> list[str]:
+    """A bar for each tenth of the points; full marks have a row of their own."""
+    counts = Counter(min(int(10 * score / most), 10) for score in scores)
+    unit = max(max(counts.values(), default=1) / 40, 1.0)
+    rows = ["| points | submissions | |", "|---|---|---|"]
+    for band in range(11):
+        points = f"{most}" if band == 10 else f"{band * most / 10:g} to below {(band + 1) * most / 10:g}"
+        rows.append(f"| {points} | {counts[band]} | {'█' * round(counts[band] / unit)} |")
+    return rows

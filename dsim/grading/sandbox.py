@@ -18,6 +18,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -29,6 +30,7 @@ INSIDE = Path(__file__).parent / "inside"
 USER = 61000  # and the slots above it: nobody's
 GRACE = 2.0  # s beyond an item's own limit before the whole sandbox is ended
 START = 30.0  # s to load NumPy and SciPy
+LOADS = 2  # items for which a file that is too slow to load is tried
 MOST_NOTES = 2**14  # bytes of what a submission prints that are kept
 MEMORY, PROCESSES, FILES, FILE_SIZE, TEMPORARY = 2 * 2**30, 64, 64, 2**24, 2**26
 RESIDENT = 3 * 2**30  # bytes of all processes of a sandbox together
@@ -46,16 +48,21 @@ class Jail:
     kit: Path
     slot: int = 0
     cpu: int = 600  # s of processor time of any process
+    inside: Path = INSIDE
 
     def staged(self, directory: Path) -> Jail:
-        """Copies that anybody may read, of the submission and of kit.py alone."""
-        (directory / "kit").mkdir()
-        for source, name in ((self.submission, "submission.py"), (self.kit / "kit.py", "kit/kit.py")):
+        """Copies that anybody may read, however closed a checkout is: the submission, kit.py alone, and our side."""
+        files = {"submission.py": self.submission, "kit/kit.py": self.kit / "kit.py"}
+        files |= {f"inside/{path.name}": path for path in self.inside.glob("*.py")}
+        for folder in ("kit", "inside"):
+            (directory / folder).mkdir()
+            (directory / folder).chmod(0o755)
+        for name, source in files.items():
             if source.is_file():
                 (directory / name).write_bytes(source.read_bytes())
                 (directory / name).chmod(0o644)
-        (directory / "kit").chmod(0o755)
-        return replace(self, submission=directory / "submission.py", kit=directory / "kit")
+        submission, kit, inside = (directory / name for name in ("submission.py", "kit", "inside"))
+        return replace(self, submission=submission, kit=kit, inside=inside)
 
     def command(self) -> list[str]:
         """The whole command line."""
@@ -71,8 +78,9 @@ class Jail:
             words += ["--perms", "0755", "--dir", directory]
         words += [*_system_mounts(), *_python_mounts(), "--proc", "/proc", "--dev", "/dev"]
         words += ["--size", str(TEMPORARY), "--perms", "1777", "--tmpfs", "/tmp"]
-        words += ["--ro-bind", str(INSIDE), "/sandbox/inside", "--ro-bind", str(self.kit), "/sandbox/kit"]
+        words += ["--ro-bind", str(self.inside), "/sandbox/inside", "--ro-bind", str(self.kit), "/sandbox/kit"]
         words += ["--ro-bind", str(self.submission), "/sandbox/submission.py", "--chdir", "/tmp"]
+        words += _closed(words)
         for name, value in _variables().items():
             words += ["--setenv", name, value]
         words += ["--"]
@@ -128,6 +136,12 @@ def _python_mounts() -> list[str]:
     return words
 
 
+def _closed(words: Sequence[str]) -> list[str]:
+    """Every mount of bubblewrap's own but /tmp becomes read-only: an ordinary user would own it."""
+    made = [place for flag, place in pairwise(words) if flag == "--tmpfs" and place != "/tmp"]
+    return [word for place in (*made, "/dev", "/") for word in ("--remount-ro", place)]
+
+
 def _hidden(paths: Sequence[str]) -> list[str]:
     """Empty directories in their place."""
     found = []
@@ -153,6 +167,8 @@ class SandboxedStudent(Awards):
         self._staged: TemporaryDirectory[str] | None = None
         self._notes = b""
         self._limit = 0.0
+        self._slow_loads = 0
+        self._over: StudentTimeout | StudentReply | None = None  # how the current item's child ended
 
     @property
     def notes(self) -> str:
@@ -161,18 +177,31 @@ class SandboxedStudent(Awards):
 
     @contextmanager
     def item(self, timeout: float) -> Iterator[None]:
-        """One graded item in a fresh child.  Raises as `call` does when the submission cannot be loaded."""
-        self.awarded, self._limit = 0.0, timeout
-        kind, value = self._ask("open", {"timeout": float(timeout)})
+        """One graded item in a fresh child.  Raises as `call` does when the submission cannot be loaded.
+
+        A file that was too slow to load for `LOADS` items is not tried again.
+        """
+        self.awarded, self._limit, self._over = 0.0, timeout, None
+        if self._slow_loads >= LOADS:
+            raise StudentTimeout("your file takes too long to load: it was tried for the items before this one")
         try:
-            _raise_for(kind, value)
+            self._open(timeout)
             yield
         finally:
             if self._process is not None:
                 with suppress(StudentTimeout, StudentReply):
                     self._ask("close", None)
 
+    def _open(self, timeout: float) -> None:
+        try:
+            _raise_for(*self._ask("open", {"timeout": float(timeout)}))
+        except StudentTimeout:
+            self._slow_loads += 1
+            raise StudentTimeout(f"your file takes too long to load; allowed are {timeout:g} s") from None
+
     def call(self, function: str, *arguments: Any) -> Any:
+        if self._over is not None:  # hypothesis tries a failing input again
+            raise self._over
         kind, value = self._ask("call", [function, list(arguments)])
         _raise_for(kind, value)
         return value
@@ -223,12 +252,12 @@ class SandboxedStudent(Awards):
         try:
             _write(process.stdin.fileno(), frame, deadline)  # type: ignore[union-attr]
             return self._read(deadline)
-        except (StudentTimeout, StudentReply):
-            self.close()  # the next item gets a new sandbox
-            raise
+        except (StudentTimeout, StudentReply) as error:
+            self._over = error
         except OSError:
-            self.close()
-            raise StudentReply("your code ended its process") from None
+            self._over = StudentReply("your code ended its process")
+        self.close()  # the next item gets a new sandbox
+        raise self._over from None
 
     def _read(self, deadline: float) -> tuple[str, Any]:
         assert self._process is not None and self._process.stdout is not None

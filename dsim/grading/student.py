@@ -11,6 +11,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any, Protocol
 
+from dsim.grading.curves import Picture
 from dsim.grading.inside.protocol import KitFunction, ProtocolError, decode, encode, kit_function, read_raw
 
 __all__ = [
@@ -42,11 +43,17 @@ class StudentReply(Exception):
 
 
 class ItemLost(AssertionError):
-    """What an item found wrong: expected and got (short texts), the error and the tolerance it broke."""
+    """What an item found wrong, in words; the error and the tolerance it broke; a picture where one helps."""
 
-    def __init__(self, message: str, error: float | None = None, tolerance: float | None = None) -> None:
+    def __init__(
+        self,
+        message: str,
+        error: float | None = None,
+        tolerance: float | None = None,
+        picture: Picture | None = None,
+    ) -> None:
         super().__init__(message)
-        self.error, self.tolerance = error, tolerance
+        self.error, self.tolerance, self.picture = error, tolerance, picture
 
 
 class Student(Protocol):

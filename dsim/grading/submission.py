@@ -25,6 +25,11 @@ class Submission:
     source: str
 
 
+def name_of(path: Path) -> str:
+    """Its name in the grades: of the file without its ending, printable."""
+    return "".join(c if c.isprintable() else "?" for c in path.stem)
+
+
 def read(path: Path) -> Submission:
     """The submission in a file.  Raises SubmissionError for a link, a wrong kind, size or coding, or bad syntax."""
     if path.is_symlink() or not path.is_file():
@@ -46,7 +51,7 @@ def read(path: Path) -> Submission:
         line = f" in line {error.lineno}" if isinstance(error, SyntaxError) and error.lineno else ""
         told = error.msg if isinstance(error, SyntaxError) else str(error)
         raise SubmissionError(f"{path.name} is not Python: {told[:200]}{line}") from None
-    return Submission(path.stem, path, source)
+    return Submission(name_of(path), path, source)
 
 
 def from_notebook(text: str, name: str) -> str:

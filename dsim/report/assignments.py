@@ -12,13 +12,14 @@ from rich.markup import escape
 from rich.table import Table as RichTable
 from rich.text import Text
 
-from dsim.grading import folder, submission
+from dsim.grading import folder, results, submission
 from dsim.grading import gradescope as autograder
 from dsim.grading import items as rubrics
 from dsim.grading import release as releasing
 from dsim.grading.grade import SECRET, secret_of
 from dsim.grading.selfcheck import selfcheck
 from dsim.grading.student import LocalStudent
+from dsim.pictures.files import write_atomically
 from dsim.report.terminal import console
 
 
@@ -76,8 +77,8 @@ def check(numbers: Sequence[str], where: Path | None) -> int:
     return 1 if bad else 0
 
 
-def check_submission(file: Path, number: str, where: Path | None) -> int:
-    """The public items, in this process."""
+def check_submission(file: Path, number: str, where: Path | None, pictures: Path | None = None) -> int:
+    """The public items, in this process.  pictures: their directory, FILE-feedback beside the file by default."""
     if not file.is_file():
         raise FileNotFoundError(f"there is no file {file}")
     match = re.match(r"\d\d", file.name)
@@ -91,12 +92,17 @@ def check_submission(file: Path, number: str, where: Path | None) -> int:
         path = Path(directory) / file.with_suffix(".py").name
         path.write_text(submission.read(file).source, encoding="utf-8")
         outcomes = rubrics.run(public, checks, LocalStudent(path, assignment.path))
-    out = console()
+    out, to = console(), pictures or file.with_name(f"{file.stem}-feedback")
     for outcome in outcomes:
         style = "bold red" if outcome.lost else "green"
         out.print(Text(f"{outcome.score:g} of {outcome.item.points}  {outcome.item.title}", style=style))
         if outcome.lost:
             out.print(f"    {outcome.why}\n    Hint: {outcome.item.hint}", markup=False)
+        if (png := results.picture_of(outcome)) is not None:
+            path = write_atomically(to / f"{outcome.item.id}.png", png)
+            out.print(f"    Picture: {path}", markup=False, soft_wrap=True)
+        else:
+            (to / f"{outcome.item.id}.png").unlink(missing_ok=True)  # of an earlier try
     got, most = sum(outcome.score for outcome in outcomes), sum(item.points for item in public)
     hidden = sum(item.points for item in items) - most
     out.print(f"{got:g} of {most} public points; {hidden} more are hidden", markup=False)

@@ -12,8 +12,9 @@ from rich.text import Text
 
 from dsim.grading import cluster, folder
 from dsim.grading import grade as grading
-from dsim.grading.results import GRADES, RESULTS, SUMMARY
+from dsim.grading.results import GRADES, RESULTS, SUMMARY, folder_of
 from dsim.grading.sandbox import SandboxError
+from dsim.grading.submission import name_of
 from dsim.report.terminal import console
 
 
@@ -39,7 +40,7 @@ def run(
     if others := _others(submissions, found, to):
         told = ", ".join(others[:8]) + f" and {len(others) - 8} more" * (len(others) > 8)
         err.print(f"not graded, for they are no .py or .ipynb files: {told}", soft_wrap=True, markup=False)
-    if younger := [path.stem for path in found if _younger(path, to / path.stem / RESULTS)]:
+    if younger := [name_of(path) for path in found if _younger(path, to / folder_of(path) / RESULTS)]:
         told = f"changed since they were graded: {', '.join(younger)}; to grade one again, delete its folder in {to}"
         err.print(told, soft_wrap=True, markup=False)
     columns = (BarColumn(bar_width=24), MofNCompleteColumn(), TimeRemainingColumn(), TextColumn("{task.description}"))

@@ -4,13 +4,19 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import shutil
 import subprocess
+import sys
+from contextlib import suppress
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
+import numpy as np
 import pytest
 
+import dsim
 from dsim.grading import grade as grading
 from dsim.grading.sandbox import USER, Jail, SandboxedStudent, SandboxError, check_sandbox
 from dsim.grading.student import StudentReply, StudentTimeout
@@ -137,6 +143,145 @@ ATTACKS: dict[str, tuple[str, float, str]] = {
         4,
         "",
     ),
+    "reads the memory of its supervisor": (
+        SOLUTION + "\nimport os\nme = os.getppid()\ntry:\n    with open(f'/proc/{me}/maps') as maps:\n"
+        "        parts = [line.split()[0].split('-') for line in maps if ' rw' in line]\n"
+        "    with open(f'/proc/{me}/mem', 'rb') as memory:\n        for a, b in parts:\n"
+        "            memory.seek(int(a, 16))\n"
+        "            if b'a secret of the ' + b'tests' in memory.read(int(b, 16) - int(a, 16)):\n"
+        "                raise RuntimeError('FOUND')\nexcept OSError:\n    pass\n",
+        RIGHT,
+        "",
+    ),
+    "writes into the pipes of its supervisor": (
+        SOLUTION + "\nimport os, struct\n"
+        'frame = b\'{"kind": "value", "kind": "value", "value": 999, "arrays": []}\'\n'
+        "frame = struct.pack('<IQ', len(frame), 0) + frame\nfor d in range(60):\n    try:\n"
+        "        out = os.open(f'/proc/{os.getppid()}/fd/{d}', os.O_WRONLY | os.O_NONBLOCK)\n"
+        "        os.write(out, frame * 50)\n    except OSError: pass\n",
+        0,
+        "",
+    ),
+    "a debugger on its supervisor": (
+        SOLUTION + "\nimport ctypes, os\ndef solve(A, b):\n"
+        "    ctypes.CDLL(None).ptrace(16, os.getppid(), 0, 0)\n    while True: pass\n",
+        4,
+        "too long",
+    ),
+    "stops its supervisor": (
+        SOLUTION + "\nimport os, signal\ndef solve(A, b):\n    os.kill(os.getppid(), signal.SIGSTOP)\n    return b\n",
+        4,
+        "too long",
+    ),
+    "a helper that lives from item to item": (
+        SOLUTION + "\nimport os, socket, time\nif not os.path.exists('/tmp/helper') and os.fork() == 0:\n"
+        "    os.setsid()\n    server = socket.socket(socket.AF_UNIX)\n    server.bind('/tmp/helper')\n"
+        "    server.listen()\n    while True: server.accept()\n",
+        RIGHT,
+        "",
+    ),
+    "a second look at inputs of an earlier item": (
+        "import os\ndef double(x):\n    open('/tmp/seen', 'w').write(repr(x))\n    return 2 * x\n"
+        "def solve(A, b):\n    raise RuntimeError(sorted(os.listdir('/tmp')))\n",
+        2,
+        "seen",
+    ),
+    "slow replies that add up": (
+        SOLUTION + "\nimport time\ndef solve(A, b):\n    time.sleep(0.7)\n    return np.linalg.solve(A, b)\n",
+        5,
+        "too long",
+    ),
+    "dates for numbers": ("def double(x):\n    return (2 * x).astype('M8[s]')\n", 0, "must hold floats"),
+    "a record for numbers": (
+        "import numpy as np\ndef double(x):\n    return np.zeros(3, dtype=[('a', 'f8'), ('b', 'f8')])\n",
+        0,
+        "must hold floats",
+    ),
+    "numbers the other way round": (
+        SOLUTION + "\ndef double(x):\n    return (2 * x).astype('>f8')[::-1][::-1]\n",
+        RIGHT,
+        "",
+    ),
+    "a whole number of ten thousand digits": ("def double(x):\n    return 10**10_000\n", 0, "64 bits"),
+    "an array that lies about its shape": (
+        "import numpy as np\nclass Liar(np.ndarray):\n    shape = (3,)\n    size = 3\n    nbytes = 24\n"
+        "def double(x):\n    return np.zeros((2**9, 2**9)).view(Liar)\n",
+        0,
+        "",
+    ),
+    "a class of arrays whose copies are others": (
+        "import numpy as np\nclass Odd(np.ndarray):\n    def astype(self, *a, **k): raise SystemExit\n"
+        "    def tobytes(self, *a): return b'x'\n    def __array__(self, *a, **k): raise KeyboardInterrupt\n"
+        "def double(x):\n    return (2 * x).view(Odd)\n",
+        2,
+        "",
+    ),
+    "patches the protocol": (
+        "import protocol, sys\nold = protocol.encode\n"
+        "def encode(kind, value=None):\n    return old('closed' if kind == 'value' else kind, value)\n"
+        "protocol.encode = encode\ndef double(x): return x\ndef solve(A, b): return b\n"
+        "def step(f, x, v, h): return x, v\n",
+        1,
+        "off by",
+    ),
+    "answers learnt by heart": (
+        "import numpy as np\ndef double(x): return np.array([2.0, -4.0, 7.0])\n"
+        "def solve(A, b): return np.array([0.1, 0.2, 0.3, 0.4])\n",
+        3,
+        "residual",
+    ),
+    "its environment": (
+        "import os\ndef double(x): raise RuntimeError(sorted(os.environ))\n",
+        0,
+        "RuntimeError: ['HOME', 'LANG'",
+    ),
+    "rewrites its own file": (
+        SOLUTION + "\ntry:\n    open('/sandbox/submission.py', 'w').write('x')\nexcept OSError:\n    pass\n"
+        "else:\n    raise RuntimeError('FOUND')\n",
+        RIGHT,
+        "",
+    ),
+    "closes every descriptor": (
+        SOLUTION + "\nimport os\ndef solve(A, b):\n    os.closerange(0, 64)\n    return b\n",
+        4,
+        "ended its process",
+    ),
+    "a user namespace of its own, then a fork burst": (
+        SOLUTION + "\nimport ctypes, os\ndef solve(A, b):\n    ctypes.CDLL(None).unshare(0x10000000)\n"
+        "    while True:\n        os.fork()\n",
+        4,
+        "",
+    ),
+    "raises its limits, then takes memory": (
+        SOLUTION + "\nimport resource\ndef solve(A, b):\n"
+        "    try: resource.setrlimit(resource.RLIMIT_AS, (2**40, 2**40))\n    except (ValueError, OSError): pass\n"
+        "    return np.ones(2**30)[:4]\n",
+        4,
+        "Memory",
+    ),
+    "memory in many processes": (
+        SOLUTION + "\nimport os, time\ndef solve(A, b):\n    for _ in range(8):\n        if os.fork() == 0:\n"
+        "            kept = bytearray(b'x') * (900 * 2**20)\n            time.sleep(60)\n    time.sleep(60)\n",
+        4,
+        "",
+    ),
+    "a thousand threads": (
+        SOLUTION + "\nimport threading, time\ndef solve(A, b):\n    for _ in range(1000):\n"
+        "        threading.Thread(target=time.sleep, args=(60,)).start()\n",
+        4,
+        "thread",
+    ),
+    "empty files without end": (
+        SOLUTION + "\nimport itertools\ndef solve(A, b):\n    for n in itertools.count():\n"
+        "        open(f'/tmp/{n}', 'w').close()\n",
+        4,
+        "",
+    ),
+    "a page in a message": (
+        "def double(x): raise ValueError('<script>alert(1)</script> [full marks](http://192.0.2.1) \\x1b[2J`x`')\n",
+        0,
+        "<script>",  # results.json is text; feedback.md is looked at below
+    ),
     "a right solution": (SOLUTION, RIGHT, ""),
     "half right": (SOLUTION + "\ndef step(f, x, v, h):\n    v = v + h * f(x)\n    return x, v\n", 6, "x is off"),
 }
@@ -175,7 +320,7 @@ def test_an_attack_gets_what_it_earned(name: str, tmp_path: Path) -> None:
         "solve",
         "integrate",
     ]
-    assert why in told
+    assert why in told and "FOUND" not in told
     assert not leftovers()
 
 
@@ -200,6 +345,60 @@ def test_a_link_is_no_submission(tmp_path: Path) -> None:
     assert "not a link" in text and "root:" not in text
 
 
+@pytest.mark.parametrize("kind", ["directory", "pipe", "nothing"])
+def test_what_is_no_file_is_refused_at_once(kind: str, tmp_path: Path) -> None:
+    path = tmp_path / "me.py"
+    if kind == "directory":
+        path.mkdir()
+    elif kind == "pipe":
+        os.mkfifo(path)
+    grading.grade_one(grading.Task(ASSIGNMENT, path, tmp_path / "out", SECRET))
+    assert "must be a plain file" in (tmp_path / "out" / "feedback.md").read_text()
+
+
+NAMES = (
+    "..", ".", ".dsim-secret", "grades.csv", "summary.md", "=HYPERLINK(1)", "a\nb", "a\x1b[2Jb", "<img src=x>", "a b",
+    "[full marks](http:)", "-rf", "ünï", "a\udcffb", "x" * 240, "CON", "a'b", 'a"b', "a;b", "%2e%2e",
+)  # fmt: skip
+
+
+def test_no_name_of_a_file_does_anything(tmp_path: Path) -> None:
+    """Each has a folder of its own inside the grades, a row of its own, and its points."""
+    directory, to = tmp_path / "in", tmp_path / "out" / "grades"
+    directory.mkdir()
+    for name in NAMES:
+        Path(os.fsencode(directory).decode(errors="surrogateescape"), f"{name}.py").write_text(SOLUTION)
+    for _ in range(2):  # the second run finds everything done
+        rows = grading.grade(ASSIGNMENT, grading.submissions_in(directory), to, sandboxed=False)
+        assert [row["score"] for row in rows] == [RIGHT] * len(NAMES)
+    assert len(list(to.glob("*/results.json"))) == len(NAMES)
+    assert sorted(path.name for path in to.iterdir() if path.is_file()) == [".dsim-secret", "grades.csv", "summary.md"]
+    assert [path.name for path in to.parent.iterdir()] == ["grades"]
+    table = (to / "grades.csv").read_bytes().decode()
+    assert len(table.splitlines()) == 1 + len(NAMES) and "\x1b" not in table and "\n=" not in table
+    assert not any(re.search(r"(?<!\\)<img", path.read_text()) for path in to.glob("*/feedback.md"))
+
+
+def test_a_page_in_a_message_is_text(tmp_path: Path) -> None:
+    graded(ATTACKS["a page in a message"][0], tmp_path)
+    text = (tmp_path / "out" / "feedback.md").read_text()
+    assert "\\<script>" in text and "\\[full marks\\](http" in text and "\x1b" not in text and "\\`x\\`" in text
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "[" * 100_000, '{"cells": 3}', '{"cells": [null]}', '{"cells": [{"cell_type": "code", "source": 3}]}', "NaN",
+        '{"cells": [{"cell_type": "code", "source": ["a", 1]}]}', '{"cells": ' + "9" * 10_000 + "}",
+        '{"cells": [{"cell_type": "code", "metadata": {"tags": 3}, "source": "x"}]}', "null", '"cells"',
+        '{"cells": [{"cell_type": "code", "metadata": [], "source": "x"}]}', '{"cells": {"cell_type": "code"}}',
+    ],
+)  # fmt: skip
+def test_an_odd_notebook_is_one_clear_error(text: str, tmp_path: Path) -> None:
+    found = graded(text, tmp_path, "me.ipynb")
+    assert found["score"] == 0 and "must be a notebook" in found["output"]
+
+
 def test_nothing_of_an_item_is_left_for_the_next(tmp_path: Path) -> None:
     """A global, a patched module and a file: the next item's child sees none but the file."""
     source = (
@@ -220,6 +419,29 @@ def test_the_sandbox_restarts_after_it_was_killed(tmp_path: Path) -> None:
         with student.item(2.0):
             assert student.call("live") == 1
     assert not leftovers()
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="this run is by an ordinary user already")
+def test_it_holds_for_an_ordinary_user() -> None:
+    """Who makes the name space owns what bubblewrap puts into it: all of that must be read-only too."""
+    with TemporaryDirectory() as directory:
+        os.chmod(directory, 0o755)
+        shutil.copytree(Path(dsim.__file__).parent, Path(directory, "dsim"))
+        subprocess.run(["chmod", "-R", "a+rX", directory], check=True)
+        packages = Path(np.__file__).parents[1]
+        environment = {"PATH": "/usr/bin:/bin", "HOME": "/tmp", "PYTHONPATH": f"{directory}:{packages}"}
+        user = ["setpriv", "--reuid", "64321", "--regid", "64321", "--clear-groups", "env"]
+        wanted = f"import sys; assert sys.version_info[:2] == {sys.version_info[:2]}; import numpy, scipy"
+        for python in (os.path.realpath(sys.executable), "/usr/bin/python3"):
+            given = {"cwd": directory, "env": environment, "capture_output": True, "text": True}
+            with suppress(OSError):
+                if subprocess.run([*user, python, "-c", wanted], **given).returncode == 0:  # type: ignore[call-overload]
+                    break
+        else:
+            pytest.skip("no Python here that another user may run")
+        program = "from dsim.grading.sandbox import check_sandbox; check_sandbox(); print('holds')"
+        found = subprocess.run([*user, python, "-c", program], **given)  # type: ignore[call-overload]
+    assert found.stdout == "holds\n", found.stderr
 
 
 def test_without_bubblewrap_nothing_is_graded(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

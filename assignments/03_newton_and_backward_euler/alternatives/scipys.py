@@ -1,12 +1,16 @@
 """SciPy does the linear algebra, and one Newton serves all."""
 
+import warnings
+
 import numpy as np
 from scipy.linalg import lu_factor, lu_solve
 
 
 def correction(equation, z):
     residual, jacobian = equation
-    return -lu_solve(lu_factor(jacobian(z), check_finite=False), residual(z), check_finite=False)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # a singular matrix gives a correction that is not finite
+        return -lu_solve(lu_factor(jacobian(z), check_finite=False), residual(z), check_finite=False)
 
 
 def newton_step(equation, z):

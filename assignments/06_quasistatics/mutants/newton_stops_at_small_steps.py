@@ -17,7 +17,7 @@ def equilibrium(body, x, p, tolerance=1e-9, most=40):
         try:
             step = np.linalg.solve(body.dfdx(x, p), body.force(x, p))
             x = x - step
-            if np.abs(step).max() <= 1e-3:
+            if np.abs(step).max() <= 1e-2:
                 return x
         except np.linalg.LinAlgError:
             return None

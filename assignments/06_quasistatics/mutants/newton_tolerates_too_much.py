@@ -15,7 +15,7 @@ def equilibrium(body, x, p, tolerance=1e-9, most=40):
     """
     for _ in range(most + 1):
         f = body.force(x, p)
-        if np.abs(f).max() <= 1e-2:
+        if np.abs(f).max() <= 0.1:
             return x
         try:
             x = x - np.linalg.solve(body.dfdx(x, p), f)

@@ -20,8 +20,8 @@ SEEDS = st.integers(0, 2**31)
 def some_chain(rng):
     """A hanging chain with a jet at its end: two or three links."""
     links = int(rng.integers(2, 4))
-    body = public.given("follower", links=links, weight=float(rng.uniform(1.8, 2.5)))
-    return *body, np.append(rng.uniform(0.35, 0.45, links), rng.uniform(0.8, 1.2))
+    body = public.given("follower", links=links, weight=float(rng.uniform(2.5, 3.5)))
+    return *body, np.append(rng.uniform(0.35, 0.45, links), rng.uniform(0.6, 1.0))
 
 
 def some_bond(depth, width, part, k):
@@ -36,7 +36,7 @@ def some_bond(depth, width, part, k):
 BONDS = {"depth": st.floats(0.5, 2.0), "width": st.floats(1.0, 3.0), "k": st.floats(2.0, 10.0)}
 
 
-@given(**BONDS, held=st.floats(0.3, 0.9), torn=st.floats(1.1, 2.0))
+@given(**BONDS, held=st.floats(0.9, 0.98), torn=st.floats(1.1, 2.0))
 def test_no_equilibrium(student, depth, width, k, held, torn):
     body, p, x = some_bond(depth, width, held, k)
     compare.close("x*", student.call("equilibrium", body, np.zeros(2), p), x, 1e-7)
@@ -105,9 +105,11 @@ def test_design_gradient(student, seed, make):
     found = student.call("design_gradient", theirs, objective, start, p)
     if not isinstance(found, tuple | list) or len(found) != 2:
         raise ItemLost("design_gradient must return the pair (O, dO/dp)")
-    compare.close("O", compare.number("O", found[0]), public.kit.target(**wanted).value(x, p), 1e-7)
+    compare.close("O", compare.number("O", found[0]), public.kit.target(**wanted).value(x, p), 1e-8)
     student.award(0.5)
     expected = compare.array("adjoint_gradient", student.call("adjoint_gradient", theirs, objective, x, p), p.shape)
+    if not expected.any():
+        raise ItemLost("your adjoint_gradient is zero, and so cannot be the one of this design")
     compare.close("dO/dp, beside your adjoint_gradient at x*,", found[1], expected, 1e-6)
 
 

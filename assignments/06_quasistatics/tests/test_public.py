@@ -20,15 +20,25 @@ def given(name, **numbers):
 
 
 def rest(body, x, p):
-    """Where the body is at rest, by another program than yours (MINPACK's hybrid method)."""
-    return root(body.force, x, args=(p,), jac=body.dfdx, tol=1e-14).x
+    """Where the body is at rest, by another program than yours: MINPACK's, and a last step of Newton's."""
+    x = root(body.force, x, args=(p,), jac=body.dfdx, tol=1e-14).x
+    return x - np.linalg.solve(body.dfdx(x, p), body.force(x, p))
+
+
+def beside(body, x, p):
+    """Where the body is at rest, for parameters a little beside those that it is at rest at x for."""
+    for _ in range(5):
+        f = body.force(x, p)
+        if np.abs(f).max() < 1e-13:
+            break
+        x = x - np.linalg.solve(body.dfdx(x, p), f)
+    return x
 
 
 def slope(f, p, direction):
-    """The derivative of f at p along a direction, by central differences of order 4."""
-    h = 1e-3
-    at = [f(p + s * h * direction) for s in (-2, -1, 1, 2)]
-    return (at[0] - 8 * at[1] + 8 * at[2] - at[3]) / (12 * h)
+    """The derivative of f at p along a direction, by central differences."""
+    h = 1e-5
+    return (f(p + h * direction) - f(p - h * direction)) / (2 * h)
 
 
 def some_net(rng):
@@ -49,7 +59,7 @@ def test_equilibrium(student):
         theirs, body, p = make(rng)
         start = body.start()
         x = compare.array("x*", student.call("equilibrium", theirs, start, p), start.shape)
-        compare.at_most("the largest |f| at x*, in N", float(np.abs(body.force(x, p)).max()), 1.001e-9)
+        compare.at_most("the largest |f| at x* (N)", float(np.abs(body.force(x, p)).max()), 1.001e-9)
         student.award(award)
 
 
@@ -57,7 +67,7 @@ def sensitivity(student, theirs, body, p, rng):
     """Their dx*/dp along a direction, against differences of places of rest."""
     x, direction = rest(body, body.start(), p), rng.normal(size=len(p))
     found = compare.array("dx*/dp", student.call("sensitivity", theirs, x, p), (len(x), len(p)))
-    expected = slope(lambda p: rest(body, x, p), p, direction)
+    expected = slope(lambda p: beside(body, x, p), p, direction)
     compare.close("dx*/dp", found @ direction, expected, 1e-6)
 
 
@@ -75,7 +85,7 @@ def adjoint(student, theirs, body, p, rng):
     objective = kit.target(**wanted)
     found = student.call("adjoint_gradient", theirs, kit_function("target", **wanted), x, p)
     found = compare.array("dO/dp", found, p.shape)
-    expected = slope(lambda p: objective.value(rest(body, x, p), p), p, direction)
+    expected = slope(lambda p: objective.value(beside(body, x, p), p), p, direction)
     scale = max(1.0, np.linalg.norm(direction) * np.linalg.norm(found))
     compare.at_most("the error of dO/dp, relative,", abs(found @ direction - expected) / scale, 1e-6)
 

@@ -51,7 +51,7 @@ def writable() -> list[str]:
     """Directories in which a file could be made, /tmp apart."""
     found = []
     for root, directories, _ in os.walk("/"):
-        if root.startswith(("/proc", "/tmp", "/dev")):
+        if root.startswith(("/proc", "/tmp")):
             directories.clear()
             continue
         try:

@@ -118,7 +118,13 @@ def read_raw(take: Callable[[int], bytes]) -> tuple[bytes, bytes]:
     lengths = LENGTHS.unpack(take(LENGTHS.size))
     if lengths[0] > MOST_HEADER or lengths[1] > MOST_ARRAYS:
         raise ProtocolError(f"a frame must have at most {MOST_HEADER} and {MOST_ARRAYS} bytes; got {lengths}")
-    return take(lengths[0]), take(lengths[1])
+    both = take(sum(lengths))
+    return both[: lengths[0]], both[lengths[0] :]
+
+
+def kind_of(header: bytes) -> str:
+    """The kind of a frame, for one that hands it on unread."""
+    return str(json.loads(header)["kind"])
 
 
 def decode(header: bytes, body: bytes) -> tuple[str, Any]:

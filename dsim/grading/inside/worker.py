@@ -46,11 +46,12 @@ def main() -> None:
             header, body = protocol.read_raw(lambda n: take(requests, n))
         except EOFError:
             break
-        kind, value = protocol.decode(header, body)
+        kind = protocol.kind_of(header)
         if kind == "open":
             if child is not None:
                 child.end()
-            child = Child(submission, (requests, replies), float(value["timeout"]))
+            timeout = protocol.decode(header, body)[1]["timeout"]
+            child = Child(submission, (requests, replies), float(timeout))
             write(replies, child.reply())
         elif kind == "close" or child is None:
             if child is not None:
