@@ -40,7 +40,7 @@ from dsim.steppers import (
     TwoStepBackwardEuler,
     VelocityVerlet,
 )
-from dsim.studies import hard_cases, planted, problems
+from dsim.studies import body_problems, hard_cases, planted, problems
 from dsim.studies.answers import formulas, motions, programs
 from dsim.studies.answers.document import Item
 from dsim.studies.bodies import BodyEffectExample, corners, tumbling_in_wind
@@ -169,6 +169,8 @@ PROBLEMS: tuple[Callable[[], problems.Problem], ...] = (
     problems.chain,
     problems.two_rates,
     problems.cloth,
+    body_problems.free_top,
+    body_problems.heavy_top,
 )
 
 SCENES: tuple[Callable[..., Any], ...] = (

@@ -16,7 +16,7 @@ import numpy as np
 
 from dsim.arrays.checks import Array, Numbers, as_array, as_positive
 from dsim.arrays.frozen import replace
-from dsim.arrays.rotation import as_unit, normalised
+from dsim.arrays.rotation import as_unit, cross, normalised
 from dsim.effects.at_points import AtPoints, Attached, Markers, bound
 from dsim.effects.bodies import BodyLayout
 from dsim.effects.gyroscopic import ENTRIES, Gyroscopic, angular_momentum, by_inertia, tensors
@@ -115,6 +115,18 @@ class RigidBodies(System):
         turns = self.frame.turns(unit)
         turns[:] = normalised(turns)
         return np.concatenate([self.frame.change_of(q, v), self.rate(t, unit, v)])
+
+    def slope_by_turn(self, y: Array, slope: Array) -> Array:
+        return np.concatenate([self.frame.change_vjp(y[: self.width], slope[: self.width]), slope[self.width :]])
+
+    def slope_by_state(self, y: Array, slope: Array) -> Array:
+        return np.concatenate([self.frame.small_turn_vjp(y[: self.width], slope[: self.n]), slope[self.n :]])
+
+    def turned(self, v: Array, p: Array) -> Array:
+        """-omega x p: a small turn in the body frame changes by d(delta)/dt = d(omega) - omega x delta."""
+        out = np.zeros_like(p)
+        self.frame.spins(out)[:] = cross(self.frame.spins(p), self.frame.spins(v))
+        return out
 
     # Parameters and effects
 

@@ -338,6 +338,18 @@ class System:
         q, v = self.blocks(y)
         return np.concatenate([v, self.rate(t, q, v)])
 
+    def slope_by_turn(self, y: Array, slope: Array) -> Array:
+        """dJ/dy (ny,) as a slope by small changes of place and velocity, (2n,): the same where positions add."""
+        return slope
+
+    def slope_by_state(self, y: Array, slope: Array) -> Array:
+        """The way back of `slope_by_turn`: (2n,) -> (ny,)."""
+        return slope
+
+    def turned(self, v: Array, p: Array) -> Array:
+        """The part of dp/dt (n,) of the adjoint equation that comes from turning frames: 0 where positions add."""
+        return np.zeros_like(p)
+
     def rate(self, t: float, q: Array, v: Array) -> Array:
         """Acceleration M^-1 f (n,) m/s^2, 0 at pinned points."""
         return self.stage_solve(self.free * self.force(t, q, v))

@@ -41,8 +41,9 @@ GRADIENTS = "gradients"  # beside the problems: what gradients cost, and how the
 
 
 def methods(problem: problems.Problem) -> tuple[Method, ...]:
-    """All steppers, and the problem's references."""
-    return (*catalog.STEPPERS, *problem.references)
+    """All steppers that can take the problem's steps, and its references."""
+    steppers = catalog.BODY_STEPPERS if problem.system.curved else catalog.STEPPERS
+    return (*steppers, *problem.references)
 
 
 def select(names: Sequence[str]) -> tuple[problems.Problem, ...]:

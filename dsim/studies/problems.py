@@ -67,7 +67,7 @@ class Problem:
     @cached_property
     def scale(self) -> Array:
         """(ny,): `position` for q, `velocity` for v."""
-        return np.repeat([self.position, self.velocity], self.system.n)
+        return np.repeat([self.position, self.velocity], [self.system.width, self.system.n])
 
     @cached_property
     def weights(self) -> Array:
@@ -77,7 +77,8 @@ class Problem:
 
     @property
     def _free(self) -> Array:
-        return np.tile(self.system.free, 2)
+        free = self.system.free
+        return np.concatenate([free if len(free) == self.system.width else np.ones(self.system.width), free])
 
     def slope(self, final: Array) -> Array:
         """dJ/dy(T) (ny,) from the final state."""
@@ -111,7 +112,7 @@ class Problem:
             return ROUND_OFF
         times = self.duration * np.arange(1, 201) / 200
         a, b = (np.stack([truth.states(t) for t in times]) for truth in self.truths)
-        return max(ROUND_OFF, float(np.abs((a - b) / self.scale).max()))
+        return max(ROUND_OFF, float(np.abs(self._apart(a, b)).max()))
 
     @cached_property
     def gradient_certificate(self) -> float:
@@ -130,7 +131,17 @@ class Problem:
         chosen = sample(t, self.duration)
         truth = np.stack([states(float(t[n])) for n in chosen])
         with np.errstate(over="ignore", invalid="ignore"):
-            return float(np.abs((y[chosen] - truth) / self.scale).max())
+            return float(np.abs(self._apart(y[chosen], truth)).max())
+
+    def _apart(self, y: Array, truth: Array) -> Array:
+        """Scaled differences of states (k,ny); attitudes of bodies are compared by the nearer of q and -q."""
+        if self.system.curved:
+            truth, width = np.array(truth), self.system.width
+            for ours, theirs in zip(y, truth, strict=True):
+                turns = self.system.frame.turns(theirs[:width])  # type: ignore[attr-defined]
+                given = self.system.frame.turns(ours[:width])  # type: ignore[attr-defined]
+                turns *= np.where((turns * given).sum(axis=1, keepdims=True) < 0, -1.0, 1.0)
+        return np.asarray((y - truth) / self.scale)
 
     def gradient_error(self, gradient: Array, truth: Array) -> float:
         """Largest difference, in scaled units, relative to the largest entry of the truth."""
@@ -170,7 +181,8 @@ def adjoint_equation(problem: Problem, reference: Reference, final: Array) -> Ar
     """dJ/dy0 (ny,) by the adjoint differential equation, backward from the final state (ny,).
 
     With dq/dt = v, M dv/dt = f and K, D the derivatives of f:  dp/dt = -K^T M^-1 r,  dr/dt = -p - D^T M^-1 r,
-    (p, r)(T) = dJ/dy(T), together with the state itself, so that no stored path is interpolated.
+    (p, r)(T) = dJ/dy(T), together with the state itself, so that no stored path is interpolated.  Of bodies p is by
+    small turns delta in the body frame, d(delta)/dt = d(omega) - omega x delta, which adds -omega x p to dp/dt.
     """
     gradient, _ = adjoint_run(problem, reference, final)
     return gradient
@@ -183,18 +195,19 @@ def adjoint_run(problem: Problem, reference: Reference, final: Array) -> tuple[A
 
     def flow(t: float, both: Array) -> Array:
         y, p, r = both[:size], both[size : size + n], both[size + n :]
-        by_q, by_v = system.stage_vjp(t, system.blocks(y), zero, system.stage_solve(r), scratch)
-        return np.concatenate([system.flow(t, y), -by_q, -system.free * (p + by_v)])
+        place = system.blocks(y)
+        by_q, by_v = system.stage_vjp(t, place, zero, system.stage_solve(r), scratch)
+        return np.concatenate([system.flow(t, y), system.turned(place[1], p) - by_q, -system.free * (p + by_v)])
 
     def slopes(t: float, both: Array) -> Array:
         # Newton needs no more: the part d(dp/dt, dr/dt)/dy, a second derivative of the forces, is left out
         J, zero = _jacobian(system, t, both[:size]), np.zeros((size, size))
         return np.block([[J, zero], [zero, -J.T]])
 
-    start = np.concatenate([final, problem.slope(final)])
+    start = np.concatenate([final, system.slope_by_turn(final, problem.slope(final))])
     options = {"jac": slopes} if reference.method == "Radau" else {}
     found = _integrate(flow, reference, start, (problem.duration, 0.0), **options)
-    return found.y[size:, -1], found
+    return system.slope_by_state(problem.y0, found.y[size:, -1]), found
 
 
 def _jacobian(system: System, t: float, y: Array) -> Array:
