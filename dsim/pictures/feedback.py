@@ -6,10 +6,11 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
-from matplotlib.ticker import MaxNLocator
+from matplotlib.ticker import MaxNLocator, NullLocator
 
 from dsim.arrays.checks import Array
 from dsim.pictures.style import COLOURS, label, look, style, to_png
@@ -34,8 +35,8 @@ def entries(name: str, expected: Array, found: Array, tolerance: float, values: 
 
 def _panels(count: int, name: str) -> tuple[Figure, list[Axes]]:
     """Panels side by side, placed by hand: a layout that measures every text takes most of the time of a picture."""
-    figure = Figure(figsize=(4.4 * count, 3.4))
-    figure.set_layout_engine("none")
+    with rc_context({"figure.constrained_layout.use": False}):
+        figure = Figure(figsize=(4.4 * count, 3.4))
     axes = list(figure.subplots(1, count, squeeze=False)[0])
     figure.subplots_adjust(left=0.9 / (4.4 * count), right=0.985, bottom=0.155, top=0.82, wspace=0.3)
     figure.suptitle(name, fontsize=11)
@@ -91,6 +92,12 @@ def _cells(panel: Axes, matrix: Array, limit: float, title: str) -> None:
             panel.text(column, row, f"{value:.3g}", ha="center", va="center", fontsize=9, color=colour)
 
 
+def _ticks(x: Any) -> Array:
+    """The steps themselves: on a logarithmic axis shorter than a decade the usual labels run into each other."""
+    x = np.unique(np.asarray(x, float))
+    return x[np.isfinite(x) & (x > 0)]
+
+
 def lines(title: str, axes: tuple[str, str], drawn: Sequence[tuple[str, Any, Any]], log: str) -> bytes:
     """Curves with a legend; what is not finite is left out.  log: "", "y" or "xy"."""
     with style():
@@ -103,6 +110,9 @@ def lines(title: str, axes: tuple[str, str], drawn: Sequence[tuple[str, Any, Any
             kind = {"": panel.plot, "y": panel.semilogy, "xy": panel.loglog}[log]
             marker = {} if x.size <= 30 else {"marker": ""}
             kind(x[good], y[good], label=name, **{**look(number), **marker})
+        if log == "xy" and 0 < (steps := _ticks(drawn[0][1])).size <= 6:
+            panel.set_xticks(steps, [f"{step:.3g}" for step in steps])
+            panel.xaxis.set_minor_locator(NullLocator())
         if log != "xy" and np.array_equal(drawn[0][1], np.round(drawn[0][1])):
             panel.xaxis.set_major_locator(MaxNLocator(integer=True))
         label(panel, *axes)
