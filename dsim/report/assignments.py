@@ -90,7 +90,8 @@ def check_submission(file: Path, number: str, where: Path | None, pictures: Path
     public = [item for item in items if item.visible == "public"]
     with TemporaryDirectory(prefix="dsim-check-") as directory:
         path = Path(directory) / file.with_suffix(".py").name
-        path.write_text(submission.read(file).source, encoding="utf-8")
+        source = submission.read(file).source
+        path.write_text(source, encoding="utf-8")
         outcomes = rubrics.run(public, checks, LocalStudent(path, assignment.path))
     out, to = console(), pictures or file.with_name(f"{file.stem}-feedback")
     for outcome in outcomes:
@@ -106,4 +107,6 @@ def check_submission(file: Path, number: str, where: Path | None, pictures: Path
     got, most = sum(outcome.score for outcome in outcomes), sum(item.points for item in public)
     hidden = sum(item.points for item in items) - most
     out.print(f"{got:g} of {most} public points; {hidden} more are hidden", markup=False)
+    if open_parts := submission.unwritten(source):
+        out.print(f"Not written yet: {', '.join(open_parts)}", markup=False)
     return 0 if got == most else 1
