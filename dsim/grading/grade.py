@@ -6,7 +6,7 @@ import os
 import secrets
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from multiprocessing import get_context
 from pathlib import Path
@@ -57,10 +57,15 @@ def secret_of(path: Path) -> bytes:
 
 
 def submissions_in(directory: Path) -> list[Path]:
-    """Everything that might be a submission, by name.  Raises ValueError where there is none, or two of one name."""
+    """Everything that might be a submission, by name; not the `._NAME` that macOS puts beside each file in a zip.
+
+    Raises ValueError where there is none, or two of one name.
+    """
+    if directory.is_file():
+        raise ValueError(f"SUBMISSIONS must be a directory; {directory} is a file: put it into one of its own")
     if not directory.is_dir():
         raise ValueError(f"SUBMISSIONS must be a directory; there is none at {directory}")
-    found = sorted(path for path in directory.iterdir() if path.suffix in KINDS)
+    found = sorted(path for path in directory.iterdir() if path.suffix in KINDS and not path.name.startswith("._"))
     if not found:
         hint = "; it has directories: copy each student's file out of its own" if any(directory.glob("*/")) else ""
         raise ValueError(f"SUBMISSIONS must hold {' or '.join(KINDS)} files; {directory} has none{hint}")
@@ -144,7 +149,8 @@ def grade_one(task: Task) -> str:
         else:
             outcomes = rubrics.run(items, checks, LocalStudent(path, task.assignment))
             graded = Graded(submission.name, tuple(outcomes), sandboxed=False)
-    results.write(graded, task.to)
+    told = tuple(replace(outcome, why=submission.placed(outcome.why)) for outcome in graded.outcomes)
+    results.write(replace(graded, outcomes=told), task.to)
     return submission.name
 
 

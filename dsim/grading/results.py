@@ -184,7 +184,8 @@ def summary(rows: Sequence[Mapping[str, Any]], items: Sequence[Item]) -> str:
     scores = sorted(float(row["score"]) for row in rows)
     most = sum(item.points for item in items)
     middle = median(scores) if scores else 0.0
-    lines = [f"# {len(rows)} submissions, median {middle:g} of {most}", "", *_bands(scores, most), "",
+    count = f"{len(rows)} submission{'s' * (len(rows) != 1)}"
+    lines = [f"# {count}, median {middle:g} of {most}", "", *_bands(scores, most), "",
              "| item | lost by | of |", "|---|---|---|"]  # fmt: skip
     lines += [f"| {titles[name]} | {count} | {len(rows)} |" for name, count in lost.most_common()]
     return "\n".join(lines) + "\n"
