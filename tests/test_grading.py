@@ -377,6 +377,10 @@ def test_a_class_is_graded(sandboxed: bool, tmp_path: Path) -> None:
     assert seen == ["1/4 ann", "2/4 bob", "3/4 cy", "4/4 dee"]
     assert (tmp_path / "out" / ".dsim-secret").stat().st_mode & 0o077 == 0
     assert ("do not trust" in (tmp_path / "out" / "ann" / "feedback.md").read_text()) is not sandboxed
+    rubric = items.rubric(ASSIGNMENT / "rubric.toml")
+    assert results.read(tmp_path / "out" / "ann", rubric) is not None
+    in_the_sandbox = results.read(tmp_path / "out" / "ann", rubric, sandboxed=True)
+    assert (in_the_sandbox is not None) is sandboxed  # without one it is graded again when there is one
 
 
 def test_a_killed_run_goes_on_where_it_was(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -86,7 +86,8 @@ def grade(
     """Grade what has no result yet; then the class's files.  The rows of grades.csv.
 
     jobs: so many processes of this machine, or workers elsewhere.
-    A run that was killed goes on where it was: results.json is written last, whole, and what has one is done.
+    A run that was killed goes on where it was: results.json is written last, whole, and what has one is done; not what
+    was graded without a sandbox, when there is one now.
     Raises SandboxError where there is no sandbox that holds, ValueError for an assignment that is none.
     """
     items = rubrics.rubric(assignment / "rubric.toml")
@@ -96,7 +97,7 @@ def grade(
         check_sandbox()
     secret = secret_of(to / SECRET)
     rubrics.checks(items, assignment / "tests", secret)  # a mistake of ours shows before the first submission
-    missing = [path for path in submissions if results.read(to / results.folder_of(path), items) is None]
+    missing = [path for path in submissions if results.read(to / results.folder_of(path), items, sandboxed) is None]
     done = len(submissions) - len(missing)
     tasks = (Task(assignment, path, to / results.folder_of(path), secret, sandboxed) for path in missing)
     for name in _graded(tasks, jobs) if isinstance(jobs, int) else jobs.graded(tasks, sandboxed):

@@ -146,13 +146,18 @@ def write(graded: Graded, directory: Path) -> None:
     write_atomically(directory / RESULTS, (json.dumps(data, indent=1, allow_nan=False) + "\n").encode())
 
 
-def read(directory: Path, items: Sequence[Item]) -> Mapping[str, Any] | None:
-    """A finished submission's row for the class, or None where it is not finished or of another rubric."""
+def read(directory: Path, items: Sequence[Item], sandboxed: bool = False) -> Mapping[str, Any] | None:
+    """A finished submission's row for the class, or None where it is not finished or of another rubric.
+
+    sandboxed: None as well where it was graded without a sandbox.
+    """
     try:
         data = json.loads((directory / RESULTS).read_bytes())
         scores = {test["number"]: float(test["score"]) for test in data["tests"]}
         whole = {test["number"]: test["max_score"] for test in data["tests"]}
     except (OSError, ValueError, KeyError, TypeError):
+        return None
+    if sandboxed and not data["extra_data"]["sandboxed"]:
         return None
     if whole != {item.id: item.points for item in items}:
         return None
