@@ -5,13 +5,16 @@ from __future__ import annotations
 import hashlib
 import importlib.util
 import re
+import sys
 import time
 import tomllib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
 from typing import Any, Literal, Protocol
+from unittest.mock import patch
 
 from dsim.grading.curves import Picture
 from dsim.grading.inside.protocol import ProtocolError
@@ -170,4 +173,24 @@ def prepared(check: Callable[..., Any], number: int) -> Callable[[Any], Any]:
         phases=(hypothesis.Phase.explicit, hypothesis.Phase.generate),
         suppress_health_check=list(hypothesis.HealthCheck),
     )  # fmt: skip
-    return hypothesis.seed(number)(quiet(check))
+    seeded = hypothesis.seed(number)(quiet(check))
+
+    def drawn(student: Any) -> Any:
+        with _nothing_from_modules():
+            return seeded(student)
+
+    return drawn
+
+
+@contextmanager
+def _nothing_from_modules() -> Iterator[None]:
+    """Of modules that are no installed package, hypothesis reads the numbers, draws some of them, and keeps them in
+    ./.hypothesis.  Inputs would depend on what happens to be imported, a picture's module for one: not for grades.
+    """
+    providers: Any = sys.modules.get("hypothesis.internal.conjecture.providers")
+    with ExitStack() as stack:
+        if hasattr(providers, "_get_local_constants") and hasattr(providers, "CONSTANTS_CACHE"):
+            nothing, cache = providers.Constants(), type(providers.CONSTANTS_CACHE)(1024)
+            stack.enter_context(patch.object(providers, "_get_local_constants", lambda: nothing))
+            stack.enter_context(patch.object(providers, "CONSTANTS_CACHE", cache))
+        yield

@@ -146,13 +146,18 @@ def write(graded: Graded, directory: Path) -> None:
     write_atomically(directory / RESULTS, (json.dumps(data, indent=1, allow_nan=False) + "\n").encode())
 
 
-def read(directory: Path, items: Sequence[Item]) -> Mapping[str, Any] | None:
-    """A finished submission's row for the class, or None where it is not finished or of another rubric."""
+def read(directory: Path, items: Sequence[Item], sandboxed: bool = False) -> Mapping[str, Any] | None:
+    """A finished submission's row for the class, or None where it is not finished or of another rubric.
+
+    sandboxed: None as well where it was graded without a sandbox.
+    """
     try:
         data = json.loads((directory / RESULTS).read_bytes())
         scores = {test["number"]: float(test["score"]) for test in data["tests"]}
         whole = {test["number"]: test["max_score"] for test in data["tests"]}
     except (OSError, ValueError, KeyError, TypeError):
+        return None
+    if sandboxed and not data["extra_data"]["sandboxed"]:
         return None
     if whole != {item.id: item.points for item in items}:
         return None
@@ -184,7 +189,8 @@ def summary(rows: Sequence[Mapping[str, Any]], items: Sequence[Item]) -> str:
     scores = sorted(float(row["score"]) for row in rows)
     most = sum(item.points for item in items)
     middle = median(scores) if scores else 0.0
-    lines = [f"# {len(rows)} submissions, median {middle:g} of {most}", "", *_bands(scores, most), "",
+    count = f"{len(rows)} submission{'s' * (len(rows) != 1)}"
+    lines = [f"# {count}, median {middle:g} of {most}", "", *_bands(scores, most), "",
              "| item | lost by | of |", "|---|---|---|"]  # fmt: skip
     lines += [f"| {titles[name]} | {count} | {len(rows)} |" for name, count in lost.most_common()]
     return "\n".join(lines) + "\n"

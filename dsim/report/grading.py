@@ -34,6 +34,8 @@ def run(
     found = grading.submissions_in(submissions)
     if to.exists() and not to.is_dir():
         raise ValueError(f"--to must be a directory; {to} is a file")
+    if to.resolve() == submissions.resolve():
+        raise ValueError(f"--to must not be SUBMISSIONS; grades would lie among what was handed in, in {to}")
     err = console(stderr=True)
     if not sandboxed:
         err.print(Text("Submissions run WITHOUT a sandbox: they can do whatever you can.", style="bold red"))
@@ -60,7 +62,7 @@ def run(
         return 2
     out = console()
     out.print((to / SUMMARY).read_text(), markup=False)
-    out.print(f"{len(rows)} submissions: {to / GRADES}", soft_wrap=True, markup=False)
+    out.print(f"{len(rows)} submission{'s' * (len(rows) != 1)}: {to / GRADES}", soft_wrap=True, markup=False)
     return 0 if len(rows) == len(found) else 2
 
 
