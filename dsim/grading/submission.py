@@ -25,32 +25,38 @@ class Submission:
     source: str
 
 
+def printable(text: str) -> str:
+    """The text without what moves a cursor, starts a line or cannot be encoded."""
+    return "".join(c if c.isprintable() else "?" for c in text)
+
+
 def name_of(path: Path) -> str:
     """Its name in the grades: of the file without its ending, printable."""
-    return "".join(c if c.isprintable() else "?" for c in path.stem)
+    return printable(path.stem)
 
 
 def read(path: Path) -> Submission:
     """The submission in a file.  Raises SubmissionError for a link, a wrong kind, size or coding, or bad syntax."""
+    name = printable(path.name)
     if path.is_symlink() or not path.is_file():
-        raise SubmissionError(f"{path.name} must be a plain file, not a link or a directory")
+        raise SubmissionError(f"{name} must be a plain file, not a link or a directory")
     if path.suffix not in KINDS:
-        raise SubmissionError(f"{path.name} must end in {' or '.join(KINDS)}")
+        raise SubmissionError(f"{name} must end in {' or '.join(KINDS)}")
     with path.open("rb") as file:
         data = file.read(MOST_BYTES + 1)
     if len(data) > MOST_BYTES:
-        raise SubmissionError(f"{path.name} must have at most {MOST_BYTES} bytes")
+        raise SubmissionError(f"{name} must have at most {MOST_BYTES} bytes")
     try:
         text = data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
-        raise SubmissionError(f"{path.name} must be UTF-8 text; byte {error.start} is not") from None
-    source = from_notebook(text, path.name) if path.suffix == ".ipynb" else text
+        raise SubmissionError(f"{name} must be UTF-8 text; byte {error.start} is not") from None
+    source = from_notebook(text, name) if path.suffix == ".ipynb" else text
     try:
         ast.parse(source)
     except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
         line = f" in line {error.lineno}" if isinstance(error, SyntaxError) and error.lineno else ""
         told = error.msg if isinstance(error, SyntaxError) else str(error)
-        raise SubmissionError(f"{path.name} is not Python: {told[:200]}{line}") from None
+        raise SubmissionError(f"{name} is not Python: {printable(told[:200])}{line}") from None
     return Submission(name_of(path), path, source)
 
 
