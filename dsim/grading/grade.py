@@ -19,7 +19,7 @@ from dsim.grading.items import Item, Outcome
 from dsim.grading.results import Graded
 from dsim.grading.sandbox import Jail, SandboxedStudent, SandboxError, check_sandbox
 from dsim.grading.student import LocalStudent
-from dsim.grading.submission import KINDS, SubmissionError, name_of, read
+from dsim.grading.submission import KINDS, SubmissionError, name_of, printable, read
 from dsim.pictures.files import write_atomically
 
 Say = Callable[[int, int, str], None]  # (done, total, name)
@@ -71,7 +71,7 @@ def submissions_in(directory: Path) -> list[Path]:
         raise ValueError(f"SUBMISSIONS must hold {' or '.join(KINDS)} files; {directory} has none{hint}")
     names = [path.stem for path in found]
     if doubled := sorted({name for name in names if names.count(name) > 1}):
-        raise ValueError(f"SUBMISSIONS must have one file a name; {doubled[0]} is there twice")
+        raise ValueError(f"SUBMISSIONS must have one file a name; {printable(doubled[0])} is there twice")
     return found
 
 
@@ -137,7 +137,8 @@ def grade_one(task: Task) -> str:
         submission = read(task.submission)
     except (SubmissionError, OSError) as error:
         lost = tuple(Outcome(item, 0.0, "the submission could not be read") for item in items)
-        results.write(Graded(name_of(task.submission), lost, refused=str(error), sandboxed=task.sandboxed), task.to)
+        refused = rubrics.one_line(str(error))
+        results.write(Graded(name_of(task.submission), lost, refused=refused, sandboxed=task.sandboxed), task.to)
         return name_of(task.submission)
     with TemporaryDirectory(prefix="dsim-submission-") as directory:
         path = Path(directory) / "submission.py"

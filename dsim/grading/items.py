@@ -20,6 +20,7 @@ from dsim.grading.curves import Picture
 from dsim.grading.inside.protocol import ProtocolError
 from dsim.grading.sandbox import SandboxError
 from dsim.grading.student import ItemLost, StudentError, StudentReply, StudentTimeout
+from dsim.grading.submission import printable
 
 Visibility = Literal["public", "hidden"]
 DRAWS = 8  # examples of an item that hypothesis drives
@@ -159,7 +160,7 @@ def run_item(item: Item, check: Callable[..., Any], student: Gradable) -> Outcom
 def one_line(text: str) -> str:
     """The first line, printable, of decent length: a text may come from a submission."""
     first = next((line for line in text.splitlines() if line.strip()), "no reason was given")
-    return "".join(c if c.isprintable() else "?" for c in first)[:400]
+    return printable(first.strip())[:400]
 
 
 def prepared(check: Callable[..., Any], number: int) -> Callable[[Any], Any]:

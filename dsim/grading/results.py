@@ -115,8 +115,9 @@ def feedback(graded: Graded, pictures: Collection[str] = ()) -> str:
 
 
 def _plain(text: str) -> str:
-    """Text as it stands, in Markdown: nothing in it is a link, a picture, code or HTML."""
-    return re.sub(r"([\\`\[\]<&])", r"\\\1", text)
+    """Text as it stands, in Markdown: nothing in it is a link, a picture, code, HTML, a heading, a list or a fence."""
+    text = re.sub(r"([\\`\[\]<&]|(?<=:)/(?=/))", r"\\\1", text)
+    return re.sub(r"^(\d+)?([#>~=+*_|-]|(?<=\d)[.)](?=\s))", r"\1\\\2", text)
 
 
 def _fenced(text: str) -> str:
@@ -128,9 +129,9 @@ def _fenced(text: str) -> str:
 def folder_of(path: Path) -> str:
     """The folder of a submission in the directory of grades: its name, where that can be one and nothing else's."""
     safe = re.sub(r"[^\w .+=@,()-]", "_", path.stem).strip()
-    if safe == path.stem and not safe.startswith(".") and safe not in (GRADES, SUMMARY):
-        return safe
-    return f"_{safe[:60]}-{hashlib.sha256(os.fsencode(path.stem)).hexdigest()[:8]}"
+    if safe == path.stem and not safe.startswith((".", "_")) and safe not in (GRADES, SUMMARY):
+        return safe  # what starts with _ is ours: nobody takes the folder of another
+    return f"_{safe[:50]}-{hashlib.sha256(os.fsencode(path.stem)).hexdigest()[:16]}"
 
 
 def write(graded: Graded, directory: Path) -> None:

@@ -166,7 +166,7 @@ class SandboxedStudent(Awards):
         self._watch: _Watch | None = None
         self._staged: TemporaryDirectory[str] | None = None
         self._notes = b""
-        self._limit = 0.0
+        self._left = 0.0  # s that the sandbox may still take for the current item
         self._slow_loads = 0
         self._over: StudentTimeout | StudentReply | None = None  # how the current item's child ended
 
@@ -181,7 +181,7 @@ class SandboxedStudent(Awards):
 
         A file that was too slow to load for `LOADS` items is not tried again.
         """
-        self.awarded, self._limit, self._over = 0.0, timeout, None
+        self.awarded, self._left, self._over = 0.0, timeout + GRACE, None
         if self._slow_loads >= LOADS:
             raise StudentTimeout("your file takes too long to load: it was tried for the items before this one")
         try:
@@ -248,10 +248,12 @@ class SandboxedStudent(Awards):
     def _ask(self, kind: str, value: Any) -> tuple[str, Any]:
         process = self._process or self._start()
         frame = protocol.encode(kind, value)
-        deadline = time.monotonic() + self._limit + GRACE
+        start = time.monotonic()
         try:
-            _write(process.stdin.fileno(), frame, deadline)  # type: ignore[union-attr]
-            return self._read(deadline)
+            _write(process.stdin.fileno(), frame, start + self._left)  # type: ignore[union-attr]
+            reply = self._read(start + self._left)
+            self._left -= time.monotonic() - start  # all calls together: who speaks for the supervisor gains no time
+            return reply
         except (StudentTimeout, StudentReply) as error:
             self._over = error
         except OSError:

@@ -35,26 +35,32 @@ class Submission:
         return f"{why[: found.start()]} ({_place(self.cells, int(found[1]))})" if found else why
 
 
+def printable(text: str) -> str:
+    """The text without what moves a cursor, starts a line or cannot be encoded."""
+    return "".join(c if c.isprintable() else "?" for c in text)
+
+
 def name_of(path: Path) -> str:
     """Its name in the grades: of the file without its ending, printable."""
-    return "".join(c if c.isprintable() else "?" for c in path.stem)
+    return printable(path.stem)
 
 
 def read(path: Path) -> Submission:
     """The submission in a file.  Raises SubmissionError for a link, a wrong kind, size or coding, or bad syntax."""
+    name = printable(path.name)
     if path.is_symlink() or not path.is_file():
-        raise SubmissionError(f"{path.name} must be a plain file, not a link or a directory")
+        raise SubmissionError(f"{name} must be a plain file, not a link or a directory")
     if path.suffix not in KINDS:
-        raise SubmissionError(f"{path.name} must end in {' or '.join(KINDS)}")
+        raise SubmissionError(f"{name} must end in {' or '.join(KINDS)}")
     with path.open("rb") as file:
         data = file.read(MOST_BYTES + 1)
     if len(data) > MOST_BYTES:
-        raise SubmissionError(f"{path.name} must have at most {MOST_BYTES} bytes")
+        raise SubmissionError(f"{name} must have at most {MOST_BYTES} bytes")
     try:
         text = data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
-        raise SubmissionError(f"{path.name} must be UTF-8 text; byte {error.start} is not") from None
-    parts = from_notebook(text, path.name) if path.suffix == ".ipynb" else [text]
+        raise SubmissionError(f"{name} must be UTF-8 text; byte {error.start} is not") from None
+    parts = from_notebook(text, name) if path.suffix == ".ipynb" else [text]
     source = "\n\n".join(parts)
     cells = _beginnings(parts) if path.suffix == ".ipynb" else ()
     try:
@@ -62,7 +68,7 @@ def read(path: Path) -> Submission:
     except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
         line = f" in {_place(cells, error.lineno)}" if isinstance(error, SyntaxError) and error.lineno else ""
         told = error.msg if isinstance(error, SyntaxError) else str(error)
-        raise SubmissionError(f"{path.name} is not Python{line}: {told[:200]}") from None
+        raise SubmissionError(f"{name} is not Python{line}: {printable(told[:200])}") from None
     return Submission(name_of(path), path, source, cells)
 
 
@@ -80,7 +86,7 @@ def _beginnings(parts: list[str]) -> tuple[tuple[int, str], ...]:
     lines, found = 1, []
     for part in parts:
         first = next((line.strip() for line in part.splitlines() if line.strip()), "nothing")
-        shown = "".join(c if c.isprintable() else "?" for c in first)
+        shown = printable(first)
         found.append((lines, shown if len(shown) <= 40 else f"{shown[:37]}..."))
         lines += part.count("\n") + 2
     return tuple(found)

@@ -14,7 +14,7 @@ from dsim.grading import cluster, folder
 from dsim.grading import grade as grading
 from dsim.grading.results import GRADES, RESULTS, SUMMARY, folder_of
 from dsim.grading.sandbox import SandboxError
-from dsim.grading.submission import name_of
+from dsim.grading.submission import name_of, printable
 from dsim.report.terminal import console
 
 
@@ -69,7 +69,7 @@ def run(
 def _others(submissions: Path, found: Sequence[Path], to: Path) -> list[str]:
     """What lies among the submissions and is none; a student may have meant it."""
     rest = set(submissions.iterdir()) - set(found)
-    return sorted(f"{path.name}{'/' * path.is_dir()}" for path in rest
+    return sorted(f"{printable(path.name)}{'/' * path.is_dir()}" for path in rest
                   if not path.name.startswith((".", "__")) and path.resolve() != to.resolve())  # fmt: skip
 
 
