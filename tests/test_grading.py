@@ -7,6 +7,7 @@ import importlib
 import json
 import os
 import shutil
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +24,7 @@ from dsim.grading import compare, folder, items, results
 from dsim.grading import grade as grading
 from dsim.grading.inside import protocol
 from dsim.grading.results import Graded
-from dsim.grading.student import ItemLost, LocalStudent, StudentError, StudentReply
+from dsim.grading.student import Awards, ItemLost, LocalStudent, StudentError, StudentReply
 from dsim.grading.submission import SubmissionError, read
 
 ASSIGNMENT = Path(__file__).parent / "grading_fixture"
@@ -286,12 +287,30 @@ def test_drawn_inputs_do_not_depend_on_what_is_imported(tmp_path: Path, monkeypa
     def drawn() -> list[float]:
         found: list[float] = []
         for seed in range(20):
-            items.prepared(given(x=st.floats(0.1, 100.0))(lambda student, x: found.append(x)), seed)(None)
+            items.prepared(given(x=st.floats(0.1, 100.0))(lambda student, x: found.append(x)), seed)(Awards())
         return found
 
     before = drawn()
     importlib.import_module("numbers_of_mine")
     assert drawn() == before and not (tmp_path / ".hypothesis").exists()
+
+
+def test_awards_are_those_of_the_draw_that_failed() -> None:
+    """Half for a small x says nothing about a large one."""
+
+    def check(student: Awards, x: float) -> None:
+        if x < 50:
+            student.award(0.5)
+        else:
+            raise ItemLost("large")
+
+    class One(Awards):
+        def item(self, timeout: float) -> Any:
+            return nullcontext()
+
+    item = items.Item("half", "Half", 2, "hidden", 1.0, "")
+    found = items.run_item(item, items.prepared(given(x=st.floats(0, 100))(check), 1), One())  # type: ignore[arg-type]
+    assert found.score == 0 and found.why == "large"
 
 
 def test_what_is_no_directory_of_submissions_says_why(tmp_path: Path) -> None:

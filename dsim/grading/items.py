@@ -11,6 +11,7 @@ import tomllib
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
+from functools import wraps
 from pathlib import Path
 from types import ModuleType
 from typing import Any, Literal, Protocol
@@ -169,6 +170,15 @@ def prepared(check: Callable[..., Any], number: int) -> Callable[[Any], Any]:
         return check
     import hypothesis
 
+    inner = check.hypothesis.inner_test
+
+    @wraps(inner)
+    def afresh(student: Any, *drawn: Any, **named: Any) -> Any:
+        """Awards of one draw are not those of another: what is kept is what the failing draw was worth."""
+        student.awarded = 0.0
+        return inner(student, *drawn, **named)
+
+    check.hypothesis.inner_test = afresh
     quiet = hypothesis.settings(
         max_examples=DRAWS, database=None, deadline=None, print_blob=False, report_multiple_bugs=False,
         phases=(hypothesis.Phase.explicit, hypothesis.Phase.generate),

@@ -102,8 +102,8 @@ def feedback(graded: Graded, pictures: Collection[str] = ()) -> str:
     if not graded.sandboxed:
         lines += ["**Graded without a sandbox: do not trust this grade.**", ""]
     if graded.refused:
-        lines += [f"Not graded: {_plain(graded.refused)}", ""]
-    for outcome in graded.outcomes:
+        lines += [f"No points: {_plain(graded.refused)}", ""]
+    for outcome in () if graded.refused else graded.outcomes:
         item = outcome.item
         lines.append(f"## {item.title}: {outcome.score:g} of {item.points}")
         lines += ["", told(outcome, _plain), ""] if outcome.lost else [""]

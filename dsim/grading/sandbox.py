@@ -23,6 +23,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
+from dsim.grading import seccomp
 from dsim.grading.inside import protocol
 from dsim.grading.student import Awards, StudentError, StudentReply, StudentTimeout
 
@@ -233,7 +234,8 @@ class SandboxedStudent(Awards):
         self._staged = TemporaryDirectory(prefix="dsim-grade-")
         jail = self.jail.staged(Path(self._staged.name))
         pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
-        process = subprocess.Popen(jail.command(), bufsize=0, start_new_session=True, **pipes)  # type: ignore[call-overload]
+        with _filtered(jail.command()) as (words, kept):
+            process = subprocess.Popen(words, bufsize=0, start_new_session=True, pass_fds=kept, **pipes)  # type: ignore[call-overload]
         self._process = process
         self._watch = _Watch(process, self)
         try:
@@ -268,6 +270,22 @@ class SandboxedStudent(Awards):
             return protocol.read(lambda size: _take(descriptor, size, deadline))
         except protocol.ProtocolError as error:
             raise StudentReply(f"a reply that is no value: {error}") from None
+
+
+@contextmanager
+def _filtered(words: list[str]) -> Iterator[tuple[list[str], tuple[int, ...]]]:
+    """The command line with the filter of system calls, and the descriptor that it comes from."""
+    program = seccomp.program()
+    if Path(words[0]).name != "bwrap" or not program:
+        yield words, ()
+        return
+    ours, theirs = os.pipe()
+    try:
+        os.write(theirs, program)
+        os.close(theirs)
+        yield [words[0], "--seccomp", str(ours), *words[1:]], (ours,)
+    finally:
+        os.close(ours)
 
 
 class _Watch:
@@ -358,6 +376,7 @@ def check_sandbox() -> None:
     tried: tuple[tuple[str, tuple[Any, ...], Callable[[Any], bool]], ...] = (
         ("a fork burst is stopped", ("processes", 2 * PROCESSES), lambda count: count < PROCESSES),
         ("8 GB are refused", ("memory", 8.0), lambda given: given is False),
+        ("memory of no process is refused", ("homeless_memory",), lambda given: given == []),
         ("there is no network", ("network",), lambda reached: reached is False),
         ("no file can be made outside /tmp", ("writable",), lambda places: places == []),
         ("dsim is not there", ("visible", "dsim"), lambda places: places == []),
