@@ -31,7 +31,7 @@ def open_all(
     number: Annotated[str, typer.Argument(help="A lecture; the folder if none.", metavar="[NN]")] = "",
     where: Where = None,
 ) -> None:
-    """Start Jupyter on the notebooks.  Exit code 2: Jupyter is not installed.
+    """Start Jupyter on the notebooks.  Exit code 2: Jupyter is not installed; the extra `lectures` of dsim brings it.
 
     **Examples**
 

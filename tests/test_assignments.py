@@ -47,7 +47,7 @@ def test_an_unfair_assignment_is_found(tmp_path: Path) -> None:
     alternative = assignment.path / "alternatives" / "loops.py"
     alternative.write_text(alternative.read_text().replace("2 / (stiffness", "3 / (stiffness"))
     solution = assignment.path / "solution.py"
-    solution.write_text(solution.read_text().replace("    # BEGIN SOLUTION: from h w = 2\n", "", 1).replace(
+    solution.write_text(solution.read_text().replace("    # BEGIN SOLUTION: from h omega = 2\n", "", 1).replace(
         "mass / stiffness)\n    # END SOLUTION", "mass / stiffness)"))  # fmt: skip
     red = [str(check) for check in selfcheck(assignment) if not check.passed]
     expected = ("mutants; 1", "alternatives; 1", "the stub scores nothing; 2",
@@ -99,9 +99,10 @@ def test_the_commands(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: p
     file = tmp_path / "01_time_stepping" / "01_time_stepping.py"
     code, out = run("check-submission", str(file), *where)
     assert code == 1 and "0 of 6 public points; 10 more are hidden" in out and "Hint:" in out
+    assert "Not written yet: forces, forward_euler" in out and "NotImplementedError (line" in out
     file.write_text((ROOT / "01_time_stepping" / "solution.py").read_text())
     code, out = run("check-submission", str(file), *where)
-    assert code == 0 and "6 of 6 public points" in out
+    assert code == 0 and "6 of 6 public points" in out and "Not written yet" not in out
     file.rename(tmp_path / "mine.py")
     for arguments, words in ((["check-submission", str(tmp_path / "mine.py"), *where], "--assignment must say which"),
                              (["check-submission", str(file), *where], "there is no file"),

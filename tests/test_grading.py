@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import csv
+import importlib
 import json
 import os
 import shutil
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +24,7 @@ from dsim.grading import compare, folder, items, results
 from dsim.grading import grade as grading
 from dsim.grading.inside import protocol
 from dsim.grading.results import Graded
-from dsim.grading.student import ItemLost, LocalStudent, StudentError, StudentReply
+from dsim.grading.student import Awards, ItemLost, LocalStudent, StudentError, StudentReply
 from dsim.grading.submission import SubmissionError, read
 
 ASSIGNMENT = Path(__file__).parent / "grading_fixture"
@@ -233,6 +235,7 @@ def test_a_local_student_fails_in_the_same_ways(tmp_path: Path) -> None:
             student.call("g")
         with pytest.raises(StudentError, match="h is not defined"):
             student.call("h")
+    assert str(StudentError("NotImplementedError", "", 3)) == "NotImplementedError (line 3 of your file)"
 
 
 # Submissions
@@ -248,12 +251,87 @@ def notebook(*cells: tuple[str, list[str]]) -> str:
 def test_a_notebook_is_its_tagged_cells(tmp_path: Path) -> None:
     path = tmp_path / "me.ipynb"
     path.write_text(notebook(("raise Exception", []), ("%matplotlib inline\ndef f():\n    return 1", ["submission"])))
-    assert read(path).source == "def f():\n    return 1"
+    assert read(path).source == "\ndef f():\n    return 1"
     path.write_text(notebook(("a = 1", []), ("b = 2", [])))
     assert read(path).source == "a = 1\n\nb = 2"
     path.write_text("{}")
     with pytest.raises(SubmissionError, match="must be a notebook"):
         read(path)
+
+
+def test_lines_of_a_notebook_are_those_of_its_cells(tmp_path: Path) -> None:
+    path = tmp_path / "me.ipynb"
+    cells = "import numpy as np", "%time\ndef double(x):\n    return y\n", "def solve(a, b):\n    return\t z"
+    path.write_text(notebook(*((cell, ["submission"]) for cell in cells)))
+    found = read(path)
+    placed = [found.placed(f"NameError: y (line {line} of your file)") for line in (1, 5, 9)]
+    assert [text.removeprefix("NameError: y ") for text in placed] == [
+        '(line 1 of the cell that begins "import numpy as np")', '(line 3 of the cell that begins "def double(x):")',
+        '(line 2 of the cell that begins "def solve(a, b):")']  # fmt: skip
+    assert found.source.splitlines()[4] == "    return y" and found.source.splitlines()[8].endswith("z")
+    assert found.placed("it is off") == "it is off"
+    path.write_text(notebook(("a = 1", []), ("def f(:\n    pass", [])))
+    with pytest.raises(SubmissionError, match=r"not Python in line 1 of the cell that begins \"def f\(:\": "):
+        read(path)
+    (tmp_path / "me.py").write_text("a = 1\ndef f(:\n")
+    with pytest.raises(SubmissionError, match="not Python in line 2: "):
+        read(tmp_path / "me.py")
+
+
+def test_drawn_inputs_do_not_depend_on_what_is_imported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """hypothesis reads numbers from modules that are no installed package, and would leave them in ./.hypothesis."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(tmp_path)
+    (tmp_path / "numbers_of_mine.py").write_text(f"A = {[40 + n / 64 for n in range(300)]}\n")
+
+    def drawn() -> list[float]:
+        found: list[float] = []
+        for seed in range(20):
+            items.prepared(given(x=st.floats(0.1, 100.0))(lambda student, x: found.append(x)), seed)(Awards())
+        return found
+
+    before = drawn()
+    importlib.import_module("numbers_of_mine")
+    assert drawn() == before and not (tmp_path / ".hypothesis").exists()
+
+
+def test_awards_are_those_of_the_draw_that_failed() -> None:
+    """Half for a small x says nothing about a large one."""
+
+    def check(student: Awards, x: float) -> None:
+        if x < 50:
+            student.award(0.5)
+        else:
+            raise ItemLost("large")
+
+    class One(Awards):
+        def item(self, timeout: float) -> Any:
+            return nullcontext()
+
+    item = items.Item("half", "Half", 2, "hidden", 1.0, "")
+    found = items.run_item(item, items.prepared(given(x=st.floats(0, 100))(check), 1), One())  # type: ignore[arg-type]
+    assert found.score == 0 and found.why == "large"
+
+
+def test_what_is_no_directory_of_submissions_says_why(tmp_path: Path) -> None:
+    directory = classroom(tmp_path)
+    (directory / "._ann.py").write_bytes(b"\0\5\x16\7")  # macOS puts them into zips
+    assert [path.name for path in grading.submissions_in(directory)] == ["ann.py", "bob.py", "cy.ipynb", "dee.py"]
+    with pytest.raises(ValueError, match=r"ann\.py is a file: put it into one of its own"):
+        grading.submissions_in(directory / "ann.py")
+    found = CliRunner().invoke(app, ["grade", "01", str(directory), "--to", str(directory / "." / "")])
+    assert isinstance(found.exception, ValueError) and "--to must not be SUBMISSIONS" in str(found.exception)
+    assert len(list(directory.iterdir())) == 5
+
+
+@needs_bubblewrap
+def test_what_a_submission_prints_comes_back(tmp_path: Path) -> None:
+    """Although its process is killed, and even where it never returns."""
+    (tmp_path / "in").mkdir()
+    loud = 'def double(x):\n    print("I got here")\n    while True: pass\n'
+    (tmp_path / "in" / "ann.py").write_text(f"{SOLUTION}\n{loud}")
+    grading.grade(ASSIGNMENT, [tmp_path / "in" / "ann.py"], tmp_path / "out")
+    assert "```text\nI got here\n" in (tmp_path / "out" / "ann" / "feedback.md").read_text()
 
 
 # Results
@@ -318,6 +396,10 @@ def test_a_class_is_graded(sandboxed: bool, tmp_path: Path) -> None:
     assert seen == ["1/4 ann", "2/4 bob", "3/4 cy", "4/4 dee"]
     assert (tmp_path / "out" / ".dsim-secret").stat().st_mode & 0o077 == 0
     assert ("do not trust" in (tmp_path / "out" / "ann" / "feedback.md").read_text()) is not sandboxed
+    rubric = items.rubric(ASSIGNMENT / "rubric.toml")
+    assert results.read(tmp_path / "out" / "ann", rubric) is not None
+    in_the_sandbox = results.read(tmp_path / "out" / "ann", rubric, sandboxed=True)
+    assert (in_the_sandbox is not None) is sandboxed  # without one it is graded again when there is one
 
 
 def test_a_killed_run_goes_on_where_it_was(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

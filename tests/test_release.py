@@ -41,6 +41,8 @@ def test_a_stub_is_released_as_a_notebook(tmp_path: Path) -> None:
     target = release(folder.find("01", ROOT), tmp_path / "new" / "place", as_notebook=True)
     assert {path.name for path in target.iterdir()} == {"01_time_stepping.ipynb", "handout.md", "kit.py", "success.png",
                                                         "tests"}  # fmt: skip
+    handout = (target / "handout.md").read_text()
+    assert "check-submission 01_time_stepping.ipynb" in handout and "01_time_stepping.py" not in handout
     path = target / "01_time_stepping.ipynb"
     result = CliRunner().invoke(app, ["check-submission", str(path), "--assignments", str(ROOT)])
     assert result.exit_code == 1 and "0 of 6 public points" in result.stdout

@@ -20,14 +20,14 @@ def root(power, target):
     return residual, jacobian
 
 
-def valley(scale):
-    """The slope of sum sqrt(1 + (s z)^2): its zero is at 0, and Newton's full step is z -> -s^2 z^3."""
+def valley(scale, zero=0.0):
+    """The slope of sum sqrt(1 + s^2 (z - zero)^2).  For zero = 0, Newton's full step is z -> -s^2 z^3."""
 
     def residual(z):
-        return scale**2 * z / np.sqrt(1 + (scale * z) ** 2)
+        return scale**2 * (z - zero) / np.sqrt(1 + (scale * (z - zero)) ** 2)
 
     def jacobian(z):
-        return np.diag(scale**2 * (1 + (scale * z) ** 2) ** -1.5)
+        return np.diag(scale**2 * (1 + (scale * (z - zero)) ** 2) ** -1.5)
 
     return residual, jacobian
 

@@ -19,7 +19,7 @@ def symplectic_step(body, y, u, p, h):
 
 def symplectic_linearization(body, y, y1, p, h):
     """(A, B, C) of the symplectic step from y to y1.  You are given both; take derivatives where they belong."""
-    # BEGIN SOLUTION: the rows of v1 first; those of x1 are those of x, and h times those of v1
+    # BEGIN SOLUTION: find the rows of v1, which lie below; those of x1 are those of x plus h times those of v1
     x, v = np.split(y, 2)
     n = len(x)
     rate = h / body.mass[:, None]

@@ -40,7 +40,8 @@ def close(name: str, value: Any, expected: Any, tolerance: float) -> Array:
     error = float(np.abs(found - expected).max(initial=0.0)) / scale
     if not error <= tolerance:
         picture = Entries(name, expected, found, tolerance * scale) if expected.size > 1 else None
-        raise ItemLost(f"{name} is off by {error:.1e}, relative; allowed is {tolerance:.0e}", error, tolerance, picture)
+        allowed = f"{tolerance:.0e}" if tolerance else "nothing"
+        raise ItemLost(f"{name} is off by {error:.1e}, relative; allowed is {allowed}", error, tolerance, picture)
     return found
 
 

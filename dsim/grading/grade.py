@@ -6,7 +6,7 @@ import os
 import secrets
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from multiprocessing import get_context
 from pathlib import Path
@@ -19,7 +19,7 @@ from dsim.grading.items import Item, Outcome
 from dsim.grading.results import Graded
 from dsim.grading.sandbox import Jail, SandboxedStudent, SandboxError, check_sandbox
 from dsim.grading.student import LocalStudent
-from dsim.grading.submission import KINDS, SubmissionError, name_of, read
+from dsim.grading.submission import KINDS, SubmissionError, name_of, printable, read
 from dsim.pictures.files import write_atomically
 
 Say = Callable[[int, int, str], None]  # (done, total, name)
@@ -57,16 +57,21 @@ def secret_of(path: Path) -> bytes:
 
 
 def submissions_in(directory: Path) -> list[Path]:
-    """Everything that might be a submission, by name.  Raises ValueError where there is none, or two of one name."""
+    """Everything that might be a submission, by name; not the `._NAME` that macOS puts beside each file in a zip.
+
+    Raises ValueError where there is none, or two of one name.
+    """
+    if directory.is_file():
+        raise ValueError(f"SUBMISSIONS must be a directory; {directory} is a file: put it into one of its own")
     if not directory.is_dir():
         raise ValueError(f"SUBMISSIONS must be a directory; there is none at {directory}")
-    found = sorted(path for path in directory.iterdir() if path.suffix in KINDS)
+    found = sorted(path for path in directory.iterdir() if path.suffix in KINDS and not path.name.startswith("._"))
     if not found:
         hint = "; it has directories: copy each student's file out of its own" if any(directory.glob("*/")) else ""
         raise ValueError(f"SUBMISSIONS must hold {' or '.join(KINDS)} files; {directory} has none{hint}")
     names = [path.stem for path in found]
     if doubled := sorted({name for name in names if names.count(name) > 1}):
-        raise ValueError(f"SUBMISSIONS must have one file a name; {doubled[0]} is there twice")
+        raise ValueError(f"SUBMISSIONS must have one file a name; {printable(doubled[0])} is there twice")
     return found
 
 
@@ -81,7 +86,8 @@ def grade(
     """Grade what has no result yet; then the class's files.  The rows of grades.csv.
 
     jobs: so many processes of this machine, or workers elsewhere.
-    A run that was killed goes on where it was: results.json is written last, whole, and what has one is done.
+    A run that was killed goes on where it was: results.json is written last, whole, and what has one is done; not what
+    was graded without a sandbox, when there is one now.
     Raises SandboxError where there is no sandbox that holds, ValueError for an assignment that is none.
     """
     items = rubrics.rubric(assignment / "rubric.toml")
@@ -91,7 +97,7 @@ def grade(
         check_sandbox()
     secret = secret_of(to / SECRET)
     rubrics.checks(items, assignment / "tests", secret)  # a mistake of ours shows before the first submission
-    missing = [path for path in submissions if results.read(to / results.folder_of(path), items) is None]
+    missing = [path for path in submissions if results.read(to / results.folder_of(path), items, sandboxed) is None]
     done = len(submissions) - len(missing)
     tasks = (Task(assignment, path, to / results.folder_of(path), secret, sandboxed) for path in missing)
     for name in _graded(tasks, jobs) if isinstance(jobs, int) else jobs.graded(tasks, sandboxed):
@@ -131,7 +137,8 @@ def grade_one(task: Task) -> str:
         submission = read(task.submission)
     except (SubmissionError, OSError) as error:
         lost = tuple(Outcome(item, 0.0, "the submission could not be read") for item in items)
-        results.write(Graded(name_of(task.submission), lost, refused=str(error), sandboxed=task.sandboxed), task.to)
+        refused = rubrics.one_line(str(error))
+        results.write(Graded(name_of(task.submission), lost, refused=refused, sandboxed=task.sandboxed), task.to)
         return name_of(task.submission)
     with TemporaryDirectory(prefix="dsim-submission-") as directory:
         path = Path(directory) / "submission.py"
@@ -144,7 +151,8 @@ def grade_one(task: Task) -> str:
         else:
             outcomes = rubrics.run(items, checks, LocalStudent(path, task.assignment))
             graded = Graded(submission.name, tuple(outcomes), sandboxed=False)
-    results.write(graded, task.to)
+    told = tuple(replace(outcome, why=submission.placed(outcome.why)) for outcome in graded.outcomes)
+    results.write(replace(graded, outcomes=told), task.to)
     return submission.name
 
 

@@ -24,18 +24,24 @@ NEEDS = (
 )  # fmt: skip  what dsim depends on; a test compares it with pyproject.toml
 
 SANDBOX_OR_NOTHING = """\
-Isolation there: the sandbox of `dsim grade`, or no grade. Gradescope's containers usually may not make that sandbox.
-Then the autograder ends with an error, no submission is run, and nobody gets a 0 for it. Try "Test Autograder" first;
-if it says NOT GRADED, either grade with `dsim grade` on a machine of your own, or make the zip again with
---other-user-there and read what that gives up.
+Isolation there: the sandbox of `dsim grade`, or no grade. Gradescope's
+containers usually may not make that sandbox. Then the autograder ends with an
+error, no submission is run, and nobody gets a 0 for it. Try "Test Autograder"
+first; if it says NOT GRADED, either grade with `dsim grade` on a machine of
+your own, or make the zip again with --other-user-there and read what that gives
+up.
 """
 OTHER_USER = """\
-Isolation there: the sandbox of `dsim grade` where the container may make one. Usually it may not; then, as chosen with
---other-user-there, submissions run as ANOTHER USER, which is weaker, and every such result says so.
-Still so: only values leave the student's process and grades are made outside it; the secret, the hidden checks and the
-results cannot be read; processes, memory, time and file sizes have limits; nothing is left running. Each run proves it.
-No longer so: the network is open, so a submission can send away the inputs it is given; it sees the container's
-public files and the list of processes; /tmp is shared; the memory of processes that leave their parent adds up.
+Isolation there: the sandbox of `dsim grade` where the container may make one.
+Usually it may not; then, as chosen with --other-user-there, submissions run as
+ANOTHER USER, which is weaker, and every such result says so.
+Still so: only values leave the student's process and grades are made outside
+it; the secret, the hidden checks and the results cannot be read; processes,
+memory, time and file sizes have limits; nothing is left running. Each run
+proves it.
+No longer so: the network is open, so a submission can send away the inputs it
+is given; it sees the container's public files and the list of processes; /tmp
+is shared; the memory of processes that leave their parent adds up.
 """
 
 

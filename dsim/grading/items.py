@@ -5,18 +5,23 @@ from __future__ import annotations
 import hashlib
 import importlib.util
 import re
+import sys
 import time
 import tomllib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
+from functools import wraps
 from pathlib import Path
 from types import ModuleType
 from typing import Any, Literal, Protocol
+from unittest.mock import patch
 
 from dsim.grading.curves import Picture
 from dsim.grading.inside.protocol import ProtocolError
 from dsim.grading.sandbox import SandboxError
 from dsim.grading.student import ItemLost, StudentError, StudentReply, StudentTimeout
+from dsim.grading.submission import printable
 
 Visibility = Literal["public", "hidden"]
 DRAWS = 8  # examples of an item that hypothesis drives
@@ -156,7 +161,7 @@ def run_item(item: Item, check: Callable[..., Any], student: Gradable) -> Outcom
 def one_line(text: str) -> str:
     """The first line, printable, of decent length: a text may come from a submission."""
     first = next((line for line in text.splitlines() if line.strip()), "no reason was given")
-    return "".join(c if c.isprintable() else "?" for c in first)[:400]
+    return printable(first.strip())[:400]
 
 
 def prepared(check: Callable[..., Any], number: int) -> Callable[[Any], Any]:
@@ -165,9 +170,38 @@ def prepared(check: Callable[..., Any], number: int) -> Callable[[Any], Any]:
         return check
     import hypothesis
 
+    inner = check.hypothesis.inner_test
+
+    @wraps(inner)
+    def afresh(student: Any, *drawn: Any, **named: Any) -> Any:
+        """Awards of one draw are not those of another: what is kept is what the failing draw was worth."""
+        student.awarded = 0.0
+        return inner(student, *drawn, **named)
+
+    check.hypothesis.inner_test = afresh
     quiet = hypothesis.settings(
         max_examples=DRAWS, database=None, deadline=None, print_blob=False, report_multiple_bugs=False,
         phases=(hypothesis.Phase.explicit, hypothesis.Phase.generate),
         suppress_health_check=list(hypothesis.HealthCheck),
     )  # fmt: skip
-    return hypothesis.seed(number)(quiet(check))
+    seeded = hypothesis.seed(number)(quiet(check))
+
+    def drawn(student: Any) -> Any:
+        with _nothing_from_modules():
+            return seeded(student)
+
+    return drawn
+
+
+@contextmanager
+def _nothing_from_modules() -> Iterator[None]:
+    """Of modules that are no installed package, hypothesis reads the numbers, draws some of them, and keeps them in
+    ./.hypothesis.  Inputs would depend on what happens to be imported, a picture's module for one: not for grades.
+    """
+    providers: Any = sys.modules.get("hypothesis.internal.conjecture.providers")
+    with ExitStack() as stack:
+        if hasattr(providers, "_get_local_constants") and hasattr(providers, "CONSTANTS_CACHE"):
+            nothing, cache = providers.Constants(), type(providers.CONSTANTS_CACHE)(1024)
+            stack.enter_context(patch.object(providers, "_get_local_constants", lambda: nothing))
+            stack.enter_context(patch.object(providers, "CONSTANTS_CACHE", cache))
+        yield

@@ -35,6 +35,10 @@ def release(assignment: Assignment, directory: Path, as_notebook: bool = False) 
         pictures = [path.name for path in sorted(assignment.path.glob("*.png"))]
         for name in (*GIVEN, *pictures):
             shutil.copyfile(assignment.path / name, partial / name)
+        if as_notebook:  # the handout names the file that there is
+            handout = (partial / "handout.md").read_text(encoding="utf-8")
+            (partial / "handout.md").write_text(handout.replace(f"{target.name}.py", f"{target.name}.ipynb"),
+                                                encoding="utf-8")  # fmt: skip
         partial.rename(target)
     finally:
         shutil.rmtree(partial, ignore_errors=True)

@@ -102,8 +102,8 @@ def feedback(graded: Graded, pictures: Collection[str] = ()) -> str:
     if not graded.sandboxed:
         lines += ["**Graded without a sandbox: do not trust this grade.**", ""]
     if graded.refused:
-        lines += [f"Not graded: {_plain(graded.refused)}", ""]
-    for outcome in graded.outcomes:
+        lines += [f"No points: {_plain(graded.refused)}", ""]
+    for outcome in () if graded.refused else graded.outcomes:
         item = outcome.item
         lines.append(f"## {item.title}: {outcome.score:g} of {item.points}")
         lines += ["", told(outcome, _plain), ""] if outcome.lost else [""]
@@ -115,8 +115,9 @@ def feedback(graded: Graded, pictures: Collection[str] = ()) -> str:
 
 
 def _plain(text: str) -> str:
-    """Text as it stands, in Markdown: nothing in it is a link, a picture, code or HTML."""
-    return re.sub(r"([\\`\[\]<&])", r"\\\1", text)
+    """Text as it stands, in Markdown: nothing in it is a link, a picture, code, HTML, a heading, a list or a fence."""
+    text = re.sub(r"([\\`\[\]<&]|(?<=:)/(?=/))", r"\\\1", text)
+    return re.sub(r"^(\d+)?([#>~=+*_|-]|(?<=\d)[.)](?=\s))", r"\1\\\2", text)
 
 
 def _fenced(text: str) -> str:
@@ -128,9 +129,9 @@ def _fenced(text: str) -> str:
 def folder_of(path: Path) -> str:
     """The folder of a submission in the directory of grades: its name, where that can be one and nothing else's."""
     safe = re.sub(r"[^\w .+=@,()-]", "_", path.stem).strip()
-    if safe == path.stem and not safe.startswith(".") and safe not in (GRADES, SUMMARY):
-        return safe
-    return f"_{safe[:60]}-{hashlib.sha256(os.fsencode(path.stem)).hexdigest()[:8]}"
+    if safe == path.stem and not safe.startswith((".", "_")) and safe not in (GRADES, SUMMARY):
+        return safe  # what starts with _ is ours: nobody takes the folder of another
+    return f"_{safe[:50]}-{hashlib.sha256(os.fsencode(path.stem)).hexdigest()[:16]}"
 
 
 def write(graded: Graded, directory: Path) -> None:
@@ -146,13 +147,18 @@ def write(graded: Graded, directory: Path) -> None:
     write_atomically(directory / RESULTS, (json.dumps(data, indent=1, allow_nan=False) + "\n").encode())
 
 
-def read(directory: Path, items: Sequence[Item]) -> Mapping[str, Any] | None:
-    """A finished submission's row for the class, or None where it is not finished or of another rubric."""
+def read(directory: Path, items: Sequence[Item], sandboxed: bool = False) -> Mapping[str, Any] | None:
+    """A finished submission's row for the class, or None where it is not finished or of another rubric.
+
+    sandboxed: None as well where it was graded without a sandbox.
+    """
     try:
         data = json.loads((directory / RESULTS).read_bytes())
         scores = {test["number"]: float(test["score"]) for test in data["tests"]}
         whole = {test["number"]: test["max_score"] for test in data["tests"]}
     except (OSError, ValueError, KeyError, TypeError):
+        return None
+    if sandboxed and not data["extra_data"]["sandboxed"]:
         return None
     if whole != {item.id: item.points for item in items}:
         return None
@@ -184,7 +190,8 @@ def summary(rows: Sequence[Mapping[str, Any]], items: Sequence[Item]) -> str:
     scores = sorted(float(row["score"]) for row in rows)
     most = sum(item.points for item in items)
     middle = median(scores) if scores else 0.0
-    lines = [f"# {len(rows)} submissions, median {middle:g} of {most}", "", *_bands(scores, most), "",
+    count = f"{len(rows)} submission{'s' * (len(rows) != 1)}"
+    lines = [f"# {count}, median {middle:g} of {most}", "", *_bands(scores, most), "",
              "| item | lost by | of |", "|---|---|---|"]  # fmt: skip
     lines += [f"| {titles[name]} | {count} | {len(rows)} |" for name, count in lost.most_common()]
     return "\n".join(lines) + "\n"

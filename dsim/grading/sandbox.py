@@ -23,6 +23,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
+from dsim.grading import seccomp
 from dsim.grading.inside import protocol
 from dsim.grading.student import Awards, StudentError, StudentReply, StudentTimeout
 
@@ -166,7 +167,7 @@ class SandboxedStudent(Awards):
         self._watch: _Watch | None = None
         self._staged: TemporaryDirectory[str] | None = None
         self._notes = b""
-        self._limit = 0.0
+        self._left = 0.0  # s that the sandbox may still take for the current item
         self._slow_loads = 0
         self._over: StudentTimeout | StudentReply | None = None  # how the current item's child ended
 
@@ -181,7 +182,7 @@ class SandboxedStudent(Awards):
 
         A file that was too slow to load for `LOADS` items is not tried again.
         """
-        self.awarded, self._limit, self._over = 0.0, timeout, None
+        self.awarded, self._left, self._over = 0.0, timeout + GRACE, None
         if self._slow_loads >= LOADS:
             raise StudentTimeout("your file takes too long to load: it was tried for the items before this one")
         try:
@@ -233,7 +234,8 @@ class SandboxedStudent(Awards):
         self._staged = TemporaryDirectory(prefix="dsim-grade-")
         jail = self.jail.staged(Path(self._staged.name))
         pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
-        process = subprocess.Popen(jail.command(), bufsize=0, start_new_session=True, **pipes)  # type: ignore[call-overload]
+        with _filtered(jail.command()) as (words, kept):
+            process = subprocess.Popen(words, bufsize=0, start_new_session=True, pass_fds=kept, **pipes)  # type: ignore[call-overload]
         self._process = process
         self._watch = _Watch(process, self)
         try:
@@ -248,10 +250,12 @@ class SandboxedStudent(Awards):
     def _ask(self, kind: str, value: Any) -> tuple[str, Any]:
         process = self._process or self._start()
         frame = protocol.encode(kind, value)
-        deadline = time.monotonic() + self._limit + GRACE
+        start = time.monotonic()
         try:
-            _write(process.stdin.fileno(), frame, deadline)  # type: ignore[union-attr]
-            return self._read(deadline)
+            _write(process.stdin.fileno(), frame, start + self._left)  # type: ignore[union-attr]
+            reply = self._read(start + self._left)
+            self._left -= time.monotonic() - start  # all calls together: who speaks for the supervisor gains no time
+            return reply
         except (StudentTimeout, StudentReply) as error:
             self._over = error
         except OSError:
@@ -266,6 +270,22 @@ class SandboxedStudent(Awards):
             return protocol.read(lambda size: _take(descriptor, size, deadline))
         except protocol.ProtocolError as error:
             raise StudentReply(f"a reply that is no value: {error}") from None
+
+
+@contextmanager
+def _filtered(words: list[str]) -> Iterator[tuple[list[str], tuple[int, ...]]]:
+    """The command line with the filter of system calls, and the descriptor that it comes from."""
+    program = seccomp.program()
+    if Path(words[0]).name != "bwrap" or not program:
+        yield words, ()
+        return
+    ours, theirs = os.pipe()
+    try:
+        os.write(theirs, program)
+        os.close(theirs)
+        yield [words[0], "--seccomp", str(ours), *words[1:]], (ours,)
+    finally:
+        os.close(ours)
 
 
 class _Watch:
@@ -356,6 +376,7 @@ def check_sandbox() -> None:
     tried: tuple[tuple[str, tuple[Any, ...], Callable[[Any], bool]], ...] = (
         ("a fork burst is stopped", ("processes", 2 * PROCESSES), lambda count: count < PROCESSES),
         ("8 GB are refused", ("memory", 8.0), lambda given: given is False),
+        ("memory of no process is refused", ("homeless_memory",), lambda given: given == []),
         ("there is no network", ("network",), lambda reached: reached is False),
         ("no file can be made outside /tmp", ("writable",), lambda places: places == []),
         ("dsim is not there", ("visible", "dsim"), lambda places: places == []),

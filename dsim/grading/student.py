@@ -30,7 +30,8 @@ class StudentError(Exception):
     """Their code raised: kind, message and line in their file (0 if unknown)."""
 
     def __init__(self, kind: str, message: str, line: int = 0) -> None:
-        super().__init__(f"{kind}: {message}" + (f" (line {line} of your file)" if line else ""))
+        told = f"{kind}: {message}" if message.strip() else kind
+        super().__init__(told + (f" (line {line} of your file)" if line else ""))
         self.kind, self.message, self.line = kind, message, line
 
 

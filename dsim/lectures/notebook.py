@@ -39,6 +39,8 @@ def read(lecture: Lecture) -> Any:
             cell["source"] = re.sub(r"\]\((\d\d_\w+)\.md(#[^)]*)?\)", r"](\1.ipynb)", cell.source)
         if HIDDEN in tags(cell) or "hide-input" in tags(cell):
             cell.metadata["jupyter"] = {"source_hidden": True}
+        if HIDDEN in tags(cell):  # what a solution prints is its answer
+            cell.metadata["jupyter"]["outputs_hidden"] = True
     notebook.nbformat, notebook.nbformat_minor = 4, 5
     return notebook
 

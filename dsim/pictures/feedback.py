@@ -34,7 +34,8 @@ def entries(name: str, expected: Array, found: Array, tolerance: float, values: 
 
 def _panels(count: int, name: str) -> tuple[Figure, list[Axes]]:
     """Panels side by side, placed by hand: a layout that measures every text takes most of the time of a picture."""
-    figure = Figure(figsize=(4.4 * count, 3.4), layout="none")  # type: ignore[arg-type]  # as documented
+    # "none" from the start: chosen later, it forbids subplots_adjust and warns.
+    figure = Figure(figsize=(4.4 * count, 3.4), layout="none")  # type: ignore[arg-type]
     axes = list(figure.subplots(1, count, squeeze=False)[0])
     figure.subplots_adjust(left=0.9 / (4.4 * count), right=0.985, bottom=0.155, top=0.82, wspace=0.3)
     figure.suptitle(name, fontsize=11)
@@ -94,16 +95,21 @@ def lines(title: str, axes: tuple[str, str], drawn: Sequence[tuple[str, Any, Any
     """Curves with a legend; what is not finite is left out.  log: "", "y" or "xy"."""
     with style():
         figure, (panel,) = _panels(1, title)
-        for number, (name, x, y) in enumerate(drawn):
+        names = list(dict.fromkeys(name for name, _, _ in drawn))
+        for curve, (name, x, y) in enumerate(drawn):
+            again = name in [before for before, _, _ in drawn[:curve]]  # one look, and one row of the legend
             x, y = np.asarray(x, float)[-MOST:], np.clip(np.asarray(y, float)[-MOST:], -MOST_VALUE, MOST_VALUE)
             good = np.isfinite(x) & np.isfinite(y)
             if log:
                 good &= (y > 0) & ((x > 0) | (log == "y"))
             kind = {"": panel.plot, "y": panel.semilogy, "xy": panel.loglog}[log]
             marker = {} if x.size <= 30 else {"marker": ""}
-            kind(x[good], y[good], label=name, **{**look(number), **marker})
+            kind(x[good], y[good], label="_" if again else name, **{**look(names.index(name)), **marker})
         if log != "xy" and np.array_equal(drawn[0][1], np.round(drawn[0][1])):
             panel.xaxis.set_major_locator(MaxNLocator(integer=True))
+        if log == "xy" and len(steps := np.unique(drawn[0][1])) <= 4:  # the steps themselves: labels of decades collide
+            panel.set_xticks(steps, [f"{step:.3g}" for step in steps])
+            panel.set_xticks([], minor=True)
         label(panel, *axes)
         panel.legend(fontsize=9)
         return to_png(figure, DPI)

@@ -57,7 +57,7 @@ def gradescope(number: str, to: Path, secret: Path | None, other_user: bool, whe
     out = console()
     out.print(f"written: {to}\nsecret: {place}; it lies in the zip too, so give the zip to nobody\n", soft_wrap=True,
               markup=False)  # fmt: skip
-    out.print(autograder.told(other_user), markup=False, soft_wrap=True, end="")
+    out.print(autograder.told(other_user), markup=False, end="")
 
 
 def check(numbers: Sequence[str], where: Path | None) -> int:
@@ -90,14 +90,15 @@ def check_submission(file: Path, number: str, where: Path | None, pictures: Path
     public = [item for item in items if item.visible == "public"]
     with TemporaryDirectory(prefix="dsim-check-") as directory:
         path = Path(directory) / file.with_suffix(".py").name
-        path.write_text(submission.read(file).source, encoding="utf-8")
+        read = submission.read(file)
+        path.write_text(read.source, encoding="utf-8")
         outcomes = rubrics.run(public, checks, LocalStudent(path, assignment.path))
     out, to = console(), pictures or file.with_name(f"{file.stem}-feedback")
     for outcome in outcomes:
         style = "bold red" if outcome.lost else "green"
         out.print(Text(f"{outcome.score:g} of {outcome.item.points}  {outcome.item.title}", style=style))
         if outcome.lost:
-            out.print(f"    {outcome.why}\n    Hint: {outcome.item.hint}", markup=False)
+            out.print(f"    {read.placed(outcome.why)}\n    Hint: {outcome.item.hint}", markup=False)
         if (png := results.picture_of(outcome)) is not None:
             path = write_atomically(to / f"{outcome.item.id}.png", png)
             out.print(f"    Picture: {path}", markup=False, soft_wrap=True)
@@ -106,4 +107,6 @@ def check_submission(file: Path, number: str, where: Path | None, pictures: Path
     got, most = sum(outcome.score for outcome in outcomes), sum(item.points for item in public)
     hidden = sum(item.points for item in items) - most
     out.print(f"{got:g} of {most} public points; {hidden} more are hidden", markup=False)
+    if open_parts := submission.unwritten(read.source):
+        out.print(f"Not written yet: {', '.join(open_parts)}", markup=False)
     return 0 if got == most else 1

@@ -14,7 +14,7 @@ from dsim.grading import cluster, folder
 from dsim.grading import grade as grading
 from dsim.grading.results import GRADES, RESULTS, SUMMARY, folder_of
 from dsim.grading.sandbox import SandboxError
-from dsim.grading.submission import name_of
+from dsim.grading.submission import name_of, printable
 from dsim.report.terminal import console
 
 
@@ -34,6 +34,8 @@ def run(
     found = grading.submissions_in(submissions)
     if to.exists() and not to.is_dir():
         raise ValueError(f"--to must be a directory; {to} is a file")
+    if to.resolve() == submissions.resolve():
+        raise ValueError(f"--to must not be SUBMISSIONS; grades would lie among what was handed in, in {to}")
     err = console(stderr=True)
     if not sandboxed:
         err.print(Text("Submissions run WITHOUT a sandbox: they can do whatever you can.", style="bold red"))
@@ -60,14 +62,14 @@ def run(
         return 2
     out = console()
     out.print((to / SUMMARY).read_text(), markup=False)
-    out.print(f"{len(rows)} submissions: {to / GRADES}", soft_wrap=True, markup=False)
+    out.print(f"{len(rows)} submission{'s' * (len(rows) != 1)}: {to / GRADES}", soft_wrap=True, markup=False)
     return 0 if len(rows) == len(found) else 2
 
 
 def _others(submissions: Path, found: Sequence[Path], to: Path) -> list[str]:
     """What lies among the submissions and is none; a student may have meant it."""
     rest = set(submissions.iterdir()) - set(found)
-    return sorted(f"{path.name}{'/' * path.is_dir()}" for path in rest
+    return sorted(f"{printable(path.name)}{'/' * path.is_dir()}" for path in rest
                   if not path.name.startswith((".", "__")) and path.resolve() != to.resolve())  # fmt: skip
 
 

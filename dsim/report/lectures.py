@@ -32,7 +32,7 @@ def need(modules: Sequence[str]) -> None:
     """Raises ValueError that says how to install what is missing."""
     missing = [name for name in modules if importlib.util.find_spec(name) is None]
     if missing:
-        raise ValueError(f'lectures need {", ".join(missing)}: pip install "dsim[lectures]"')
+        raise ValueError(f'lectures need {", ".join(missing)}: pip install ".[lectures]" where dsim is checked out')
 
 
 def listing(where: Path | None) -> None:

@@ -58,6 +58,8 @@ def test_simulate(student, seed, method):
     states = [compare.array(name, part, (steps + 1, 3, 2)) for name, part in zip("XV", found, strict=True)]
     compare.close("row 0 of X", states[0][0], x, 0.0)
     compare.close("row 0 of V", states[1][0], v, 0.0)
+    if not all(np.any(np.diff(part, axis=0), axis=(1, 2)).all() for part in states):
+        raise ItemLost("a state is the one before it: nothing moves there")
     student.award(0.5)
     for n in range(steps):  # by their own method: a mistake there costs its own item only
         step = student.call(method, force, states[0][n], states[1][n], n * h, h)
@@ -66,17 +68,24 @@ def test_simulate(student, seed, method):
 
 
 def test_energy(student):
-    """A circle of radius 1, two turns: the energy -1/2 may swing by 0.5 %, and not drift; forward Euler's halves."""
+    """A circle of radius 1, two turns: the energy -1/2 may swing by 0.5 %, and not drift; forward Euler's halves.
+
+    The planet has to go round: one that stays where it is keeps its energy as well.
+    """
     x, v, h = np.array([[1.0, 0.0]]), np.array([[0.0, 1.0]]), 0.1
-    found = []
+    found, turned = [], 0.0
     for n in range(126):
         step = student.call("symplectic_euler", kit_function("planet"), x, v, n * h, h)
+        before = x[0]
         x, v = (compare.array("symplectic_euler", part, (1, 2)) for part in step)
+        turned += np.arctan2(before[0] * x[0, 1] - before[1] * x[0, 0], before @ x[0])
         found.append(0.5 * (v**2).sum() - 1 / np.linalg.norm(x))
     change, t = np.array(found) + 0.5, h * np.arange(1, 127)
     drawn = (("yours", t, change), ("allowed", t, 0.02 + 0 * t), ("allowed", t, -0.02 + 0 * t))
     picture = Lines("Two turns of a planet, h = 0.1 s", "time (s)", "energy - its first value (J)", drawn)
     compare.at_most("the largest change of the energy", float(np.abs(change).max()), 2e-2, picture)
+    if not abs(turned - 12.6) < 1:
+        raise ItemLost(f"after 126 steps of 0.1 s it must have gone round twice; yours {turned / 6.2832:.1f} times")
 
 
 @given(stiffness=st.floats(1.0, 1e4), mass=st.floats(0.1, 10.0))

@@ -34,13 +34,19 @@ def differences(force, z):
 
 @given(seed=seeds, dimension=st.sampled_from([2, 3]))
 def test_coincident(student, seed, dimension):
-    """A spring without length changes nothing: their own forces with it and without it, whatever those are."""
+    """A spring without length changes nothing: their own forces with it and without it, whatever those are.
+
+    One with a length does: who gives no forces at all has not answered.
+    """
     x, v, rest, k, c = net(seed, dimension)
     x[1] = x[0]
     for name, state, constants in (("spring_forces", (x,), (rest, k)), ("damping_forces", (x, v), (c,))):
         found = compare.array(name, student.call(name, *state, PAIRS, *constants), x.shape)
         others = student.call(name, *state, PAIRS[1:], *(values[1:] for values in constants))
         compare.close(f"{name} with a spring that has no length, less those without it", found - others, 0 * x, 1e-10)
+        fewer = student.call(name, *state, PAIRS[1:-1], *(values[1:-1] for values in constants))
+        if not np.abs(compare.array(name, fewer, x.shape) - others).max() > 1e-10:
+            raise ItemLost(f"{name} gives the same with a spring fewer, one that has a length")
 
 
 @given(seed=seeds, dimension=st.sampled_from([2, 3]))

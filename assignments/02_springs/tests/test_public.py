@@ -1,4 +1,4 @@
-"""Public items: you have this file.  `student.call("f", ...)` calls your function f."""
+"""Public items; `dsim check-submission` runs them.  `student.call("f", ...)` calls your function f."""
 
 import numpy as np
 
@@ -40,6 +40,7 @@ def test_spring_forces(student):
 
 
 def test_damping_forces(student):
+    """Two points first; then many dampers that share points."""
     x = np.array([[0.5, 0.0], [-0.5, 0.0]])
     turning = np.array([[0.0, 1.0], [0.0, -1.0]])
     pairs, c = np.array([[0, 1]]), np.array([2.0])
@@ -48,3 +49,12 @@ def test_damping_forces(student):
     student.award(0.5)
     found = student.call("damping_forces", x, turning, pairs, c)
     compare.close("the damper of two points that turn", found, np.zeros((2, 2)), 1e-12)
+    student.award(0.75)
+    x, v, pairs, _, c = net(3)
+    expected = np.zeros_like(x)
+    for (i, j), ce in zip(pairs, c, strict=True):
+        n = (x[i] - x[j]) / np.linalg.norm(x[i] - x[j])
+        force = -ce * ((v[i] - v[j]) @ n) * n
+        expected[i] += force
+        expected[j] -= force
+    compare.close("the dampers of a net", student.call("damping_forces", x, v, pairs, c), expected, 1e-11)

@@ -91,8 +91,13 @@ def one_by_one(student, method, arguments, cost):
     shapes = {"A": (2 * n, 2 * n), "B": (2 * n, n), "C": (2 * n, len(p))}
     for control in u:
         y.append(compare.array("y1", student.call(f"{method}_step", body, y[-1], control, p, h), y0.shape))
+        if (y[-1] == y[-2]).all():
+            raise ItemLost(f"your {method}_step moves nothing, so that there is no trajectory to look at")
         triple = student.call(f"{method}_linearization", body, y[-2], y[-1], p, h)
         found.append(public.parts(f"{method}_linearization", triple, shapes))
+        for name, matrix in zip(shapes, found[-1], strict=True):
+            if not matrix.any():
+                raise ItemLost(f"{name} of your {method}_linearization is zero; it cannot be")
     value = sum(map(cost.state, range(len(y)), y)) + sum(map(cost.control, range(len(u)), u))
     dldy, dldu = (np.array(list(map(f, range(len(z)), z))) for f, z in ((cost.dldy, y), (cost.dldu, u)))
     return value, [np.array(matrices) for matrices in zip(*found, strict=True)], dldy, dldu
@@ -106,6 +111,9 @@ def test_gradient(student, seed, method):
     compare.close("J", found[0], value, 1e-10)
     student.award(1 / 3)
     apart = public.adjoint(student, matrices, dldy, dldu)
+    twice = public.adjoint(student, matrices, 2 * dldy, 2 * dldu)
+    if any((one == two).all() for one, two in zip(apart, twice, strict=True)):
+        raise ItemLost("your adjoint gives the same for other costs, and so cannot be the one of this trajectory")
     for name, theirs, expected in zip(("dJ/dy0", "dJ/du", "dJ/dp"), found[1:], apart, strict=True):
         if not expected.any():
             raise ItemLost(f"{name} is zero when your own functions are called one by one; it cannot be")

@@ -1,4 +1,4 @@
-"""Public items: you have this file.  `student.call("f", ...)` calls your function f."""
+"""Public items; `dsim check-submission` runs them.  `student.call("f", ...)` calls your function f."""
 
 import importlib.util
 from pathlib import Path

@@ -1,5 +1,7 @@
 """A submission that tries to get out.  The sandbox is in use only after it has failed at all of it."""
 
+import contextlib
+import ctypes
 import os
 import signal
 import socket
@@ -33,6 +35,20 @@ def memory(gigabytes: float) -> bool:
     except MemoryError:
         return False
     return True
+
+
+def homeless_memory() -> list[str]:
+    """Calls that gave memory which no process need map: a file of memfd_create, a segment of System V."""
+    found = []
+    with contextlib.suppress(OSError):
+        os.close(os.memfd_create("probe"))
+        found.append("memfd_create")
+    system = ctypes.CDLL(None)
+    segment = system.shmget(0, 4096, 0o1600)  # IPC_PRIVATE; IPC_CREAT and rights for its owner
+    if segment >= 0:
+        system.shmctl(segment, 0, None)  # IPC_RMID
+        found.append("shmget")
+    return found
 
 
 def network() -> bool:

@@ -145,6 +145,8 @@ class Child:
 def serve(submission: str, requests: int, replies: int) -> None:
     """The child: load the submission, answer calls."""
     os.setsid()
+    # Lines go out at once: this process is killed, never ended, and what it holds back would be lost.
+    sys.stdout.reconfigure(line_buffering=True)  # type: ignore[union-attr]
     module = ModuleType("submission")
     module.__file__ = submission
     sys.modules["submission"] = module
