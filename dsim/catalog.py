@@ -25,6 +25,7 @@ from dsim.effects import (
 )
 from dsim.kernels import SPRING, Kernel
 from dsim.pictures import formwork as fabrics
+from dsim.pictures import rigid as turning
 from dsim.pictures import showcases as drawn
 from dsim.steppers import (
     BDF2,
@@ -48,7 +49,7 @@ from dsim.studies.convergence import OrderProblem, leaf_in_river, pendulum_in_wi
 from dsim.studies.derivatives import EffectExample
 from dsim.studies.hard_cases import HardCase
 from dsim.studies.reference import DOP853, LSODA, RADAU, Reference
-from dsim.studies.showcases import control, formwork, identification, targeting
+from dsim.studies.showcases import control, formwork, identification, racket, targeting, tumbling
 from dsim.studies.showcases.model import Showcase
 
 
@@ -209,6 +210,18 @@ SHOWCASES: tuple[Showcase, ...] = (
         "a fabric under wet concrete hangs in a wanted shape: rest lengths and stiffnesses",
         formwork.run,
         fabrics.before_after,
+    ),
+    Showcase(
+        "racket",
+        "a racket thrown up comes back face up: the spin with which it leaves the hand",
+        racket.run,
+        turning.caught,
+    ),
+    Showcase(
+        "tumbling",
+        "the inertia of a body from a film of its tumbling, with error bars that hold",
+        tumbling.run,
+        turning.weighed,
     ),
 )
 

@@ -89,9 +89,9 @@ class Variables:
 
 def _known(system: Any) -> dict[str, NDArray[np.int64]]:
     """Every name, and where its numbers lie in (y0, theta)."""
-    n, ny = system.n, system.size
+    places, ny = getattr(system, "width", system.n), system.size
     parts = {name: part.ravel() for name, part in system.split(np.arange(system.parameter_count)).items()}
-    known = {"y0": np.arange(ny), "positions": np.arange(n), "velocities": np.arange(n, ny)}
+    known = {"y0": np.arange(ny), "positions": np.arange(places), "velocities": np.arange(places, ny)}
     return known | {name: ny + part for name, part in parts.items()}
 
 

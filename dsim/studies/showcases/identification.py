@@ -117,7 +117,8 @@ def net(n: int, steps: int, seed: int = 0) -> Film:
 class Estimate:
     """Stiffness (E,) N/m from one film, and how well it is known, from the Jacobian's singular values.
 
-    With J diag(p) = U S V^T the relative covariance is s^2 V S^-2 V^T; directions with S = 0 are unknown.
+    With J diag(scale) = U S V^T the covariance in units of the scale is s^2 V S^-2 V^T; directions with S = 0 are
+    unknown.  scale (E,): by default the stiffness itself.
     axes (E,r), singular (r,): V and S of the directions that are known.  noise: s, the residual's standard deviation.
     quantile: how many standard deviations a bar of LEVEL reaches (Student's t).
     """
@@ -128,12 +129,13 @@ class Estimate:
     noise: float
     unknown: Mask  # (E,): springs with a part in a direction that is not known
     quantile: float
+    scale: Array
 
     @property
     def bars(self) -> Array:
         """Half the length of every error bar, (E,) N/m; infinite where the film says nothing."""
         spread = self.noise * np.sqrt(((self.axes / self.singular) ** 2).sum(axis=1))
-        bars: Array = np.where(self.unknown, np.inf, self.quantile * self.stiffness * spread)
+        bars: Array = np.where(self.unknown, np.inf, self.quantile * self.scale * spread)
         return bars
 
     def covers(self, truth: Array) -> Mask:
@@ -143,21 +145,22 @@ class Estimate:
 
     def along(self, truth: Array) -> Array:
         """The error in units of its standard deviation, along each known direction: (r,) independent numbers."""
-        error: Array = self.axes.T @ ((self.stiffness - truth) / self.stiffness) * self.singular / self.noise
+        error: Array = self.axes.T @ ((self.stiffness - truth) / self.scale) * self.singular / self.noise
         return error
 
 
-def estimate(stiffness: Array, jacobian: Array, residual: Array) -> Estimate:
+def estimate(stiffness: Array, jacobian: Array, residual: Array, scale: Array | None = None) -> Estimate:
     """The error bars of a least-squares fit.  The variance of the noise is estimated by what the fit leaves over."""
     from scipy.special import stdtrit
 
-    _, S, Vt = np.linalg.svd(jacobian * stiffness, full_matrices=False)
+    scale = stiffness if scale is None else scale
+    _, S, Vt = np.linalg.svd(jacobian * scale, full_matrices=False)
     known = S > 1e-10 * S[0]
     unknown = (Vt[~known] ** 2).sum(axis=0) > 1e-8
     freedom = len(residual) - int(known.sum())
     noise = float(np.sqrt(residual @ residual / freedom))
     quantile = float(stdtrit(freedom, 0.5 + LEVEL / 2))
-    return Estimate(stiffness, Vt[known].T, S[known], noise, unknown, quantile)
+    return Estimate(stiffness, Vt[known].T, S[known], noise, unknown, quantile, scale)
 
 
 @dataclass(frozen=True, eq=False)
