@@ -1,4 +1,4 @@
-# loses: product
+# loses: product, rotate, rates, exponential, body_torque, free_body, conserved
 """Assignment 04: rotations and rigid bodies.
 
 Write the parts that raise NotImplementedError.  A quaternion is an array (4,): w, x, y, z.  A unit quaternion q turns

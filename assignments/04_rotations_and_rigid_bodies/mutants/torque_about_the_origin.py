@@ -11,8 +11,16 @@ import numpy as np
 
 def product(p, q):
     """p (x) q of any two quaternions: what turns by q first, and then by p."""
-    w = p[0] * q[0] - p[1:] @ q[1:]
-    return np.append(w, p[0] * q[1:] + q[0] * p[1:] + np.cross(p[1:], q[1:]))
+    a, b, c, d = p
+    w, x, y, z = q
+    return np.array(
+        [
+            a * w - b * x - c * y - d * z,
+            a * x + b * w + c * z - d * y,
+            a * y - b * z + c * w + d * x,
+            a * z + b * y - c * x + d * w,
+        ]
+    )
 
 
 def rotate(q, u):

@@ -86,20 +86,20 @@ def test_exponential(student, seed):
     axis = rng.normal(size=3)
     axis /= np.linalg.norm(axis)
 
-    def found(angle):
-        q = compare.array("exponential", student.call("exponential", angle * axis), (4,))
-        attitude("exponential", q, Rotation.from_rotvec(angle * axis))
+    def found(*angles):
+        r = np.outer(angles, axis)
+        q = np.array([compare.array("exponential", student.call("exponential", row), (4,)) for row in r])
+        attitude("exponential", q, Rotation.from_rotvec(r))
         return q
 
     found(rng.uniform(0.5, 2.5))
     student.award(0.25)
-    for angle in (np.pi - 1e-7, np.pi + rng.uniform(0.1, 2.0), 2 * np.pi - 1e-3, 2 * np.pi + rng.uniform(0.5, 9.0)):
-        found(angle)
+    found(np.pi - 1e-7, np.pi + rng.uniform(0.1, 2.0), 2 * np.pi - 1e-3, 2 * np.pi + rng.uniform(0.5, 9.0))
     student.award(0.5)
-    for angle in (3e-3, 10 ** rng.uniform(-9, -4)):
-        q = found(angle)
-        q = q if q[0] > 0 else -q
-        compare.close("the axis of a tiny turn", q[1:] / np.sin(angle / 2), axis, 1e-9)
+    tiny = np.array([3e-3, 10 ** rng.uniform(-9, -4)])
+    q = found(*tiny)
+    axes = q[:, 1:] * np.sign(q[:, :1]) / np.sin(tiny / 2)[:, None]
+    compare.close("the axis of a tiny turn", axes, [axis, axis], 1e-9)
     student.award(0.75)
     q = compare.array("exponential of (0, 0, 0)", student.call("exponential", np.zeros(3)), (4,))
     attitude("exponential of (0, 0, 0)", q, Rotation.identity())
@@ -223,7 +223,7 @@ def trajectory(student, inertia, q, omega, h, steps):
 
 
 def truth(moments, q, omega):
-    """Attitude and spin after one second, in the frame of the principal axes."""
+    """Attitude and spin after half a second, in the frame of the principal axes."""
     a, b, c = ((moments[1] - moments[2]) / moments[0], (moments[2] - moments[0]) / moments[1],
                (moments[0] - moments[1]) / moments[2])  # fmt: skip
 
@@ -232,27 +232,29 @@ def truth(moments, q, omega):
         return [(-x * p - y_ * q_ - z * r) / 2, (w * p + y_ * r - z * q_) / 2, (w * q_ + z * p - x * r) / 2,
                 (w * r + x * q_ - y_ * p) / 2, a * q_ * r, b * p * r, c * p * q_]  # fmt: skip
 
-    y = solve_ivp(flow, (0, 1), [*q, *omega], "DOP853", rtol=1e-9, atol=1e-9).y[:, -1]
+    y = solve_ivp(flow, (0, 0.5), [*q, *omega], "DOP853", rtol=1e-9, atol=1e-9).y[:, -1]
     return turn(y[:4]), y[4:]
 
 
 @given(seed=seeds)
 def test_free_body(student, seed):
-    """Observed order of accuracy; its measure is the angle, or the spin's error, whichever is larger."""
+    """Observed order of accuracy.  The error is of angle and spin together: of one alone it may vanish by chance."""
     rng = np.random.default_rng(seed)
     squares = np.array([0.4, 1.2, 2.9]) * rng.uniform(0.9, 1.1, 3)
     moments, q, omega = squares.sum() - squares, unit(rng), rng.uniform(1.2, 2.0, 3) * rng.choice([-1, 1], 3)
     end, spin = truth(moments, q, omega)
 
     def check():
-        steps, errors = np.array([8, 16]), []
+        steps, errors = np.array([5, 15]), []
         for count in steps:
-            Q, W = trajectory(student, np.diag(moments), q, omega, 1 / count, int(count))
+            Q, W = trajectory(student, np.diag(moments), q, omega, 0.5 / count, int(count))
             compare.at_most("|Q| - 1", float(np.abs(np.linalg.norm(Q, axis=1) - 1).max()), 1e-9)
-            errors.append(max((turn(Q[-1]).inv() * end).magnitude(), np.abs(W[-1] - spin).max()))
-        if errors[0] < 1.0 and errors[0] > 1.5 * errors[1]:  # the first order is worth a half
+            angle = (turn(Q[-1]).inv() * end).magnitude()
+            errors.append(np.hypot(angle, np.linalg.norm(W[-1] - spin)))
+        if errors[0] < 1.0 and errors[0] > 2 * errors[1]:  # the first order is worth a half
             student.award(0.5)
-        compare.order(1 / steps, errors, 2, 1.7, 6.0)
+        if errors[1] > 1e-7:  # below, the truth's own error would be measured
+            compare.order(0.5 / steps, errors, 2, 1.8, 6.0)
 
     either(check, lambda: own_steps(student, np.diag(moments), q, omega))
 
@@ -272,7 +274,7 @@ def own_steps(student, inertia, q, omega):
 
     for n in range(steps):
         new = turned(q, h * spin(turned(q, h / 2 * omega)))
-        if np.abs(new - q).max() < 1e-2:
+        if np.abs(new - q).max() < 1e-4:
             raise ItemLost("nothing turns")
         q, omega = new, spin(new)
         same(Q[n + 1], q)
@@ -283,7 +285,7 @@ def own_steps(student, inertia, q, omega):
 def test_conserved(student, seed):
     """Momentum in the world, norms, the energy (it may swing a little), and that Q turns as W says."""
     rng = np.random.default_rng(seed)
-    inertia, q, omega, h, steps = inertia_of(rng), unit(rng), rng.normal(size=3), 0.1, 12
+    inertia, q, omega, h, steps = inertia_of(rng), unit(rng), rng.normal(size=3), 0.05, 10
     omega *= 2.0 / np.linalg.norm(omega)
     Q, W = trajectory(student, inertia, q, omega, h, steps)
     compare.at_most("|Q| - 1", float(np.abs(np.linalg.norm(Q, axis=1) - 1).max()), 1e-11)
@@ -295,6 +297,6 @@ def test_conserved(student, seed):
     drawn = (("momentum in the world", t, np.maximum(change, 1e-17)), ("allowed", t, 1e-11 + 0 * t),
              ("energy", t, np.maximum(np.abs(energy / energy[0] - 1), 1e-17)))  # fmt: skip
     picture = Lines("A free body: changes since the start", "time (s)", "change, relative", drawn, log="y")
-    compare.at_most("the change of the energy, relative", float(np.abs(energy / energy[0] - 1).max()), 1e-2, picture)
+    compare.at_most("the change of the energy, relative", float(np.abs(energy / energy[0] - 1).max()), 5e-2, picture)
     student.award(0.5)
     compare.at_most("the change of the angular momentum, relative", float(change.max()), 1e-11, picture)

@@ -1,4 +1,4 @@
-# loses: body_torque
+# loses: product, conserved
 """Assignment 04: rotations and rigid bodies.
 
 Write the parts that raise NotImplementedError.  A quaternion is an array (4,): w, x, y, z.  A unit quaternion q turns
@@ -11,8 +11,16 @@ import numpy as np
 
 def product(p, q):
     """p (x) q of any two quaternions: what turns by q first, and then by p."""
-    w = p[0] * q[0] - p[1:] @ q[1:]
-    return np.append(w, p[0] * q[1:] + q[0] * p[1:] + np.cross(p[1:], q[1:]))
+    a, b, c, d = p
+    w, x, y, z = q
+    return np.array(
+        [
+            a * w - b * x - c * y - d * z,
+            a * x + b * w + c * z + d * y,
+            a * y - b * z + c * w + d * x,
+            a * z + b * y - c * x + d * w,
+        ]
+    )
 
 
 def rotate(q, u):
@@ -69,7 +77,7 @@ def body_torque(q, x, point, force):
     x, point and force are in the frame of the world.
     """
     conjugate = q * np.array([1.0, -1.0, -1.0, -1.0])
-    return rotate(conjugate, np.cross(force, point - x))
+    return rotate(conjugate, np.cross(point - x, force))
 
 
 def loop_step(mass, inertia, state, points, forces, h):
