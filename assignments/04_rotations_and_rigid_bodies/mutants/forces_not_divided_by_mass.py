@@ -1,4 +1,4 @@
-# loses: loop_step, exponential_step
+# loses: loop_step
 """Assignment 04: rotations and rigid bodies.
 
 Write the parts that raise NotImplementedError.  A quaternion is an array (4,): w, x, y, z.  A unit quaternion q turns

@@ -1,4 +1,4 @@
-# loses: compose
+# loses: box_inertia
 """Assignment 04: rotations and rigid bodies.
 
 Write the parts that raise NotImplementedError.  A quaternion is an array (4,): w, x, y, z.  A unit quaternion q turns
@@ -48,7 +48,7 @@ def exponential(r):
 def box_inertia(sides, mass):
     """The inertia (3,3) kg m^2 of a solid box about its centre, along its edges.  sides (3,) m, whole edges."""
     squares = sides**2
-    return mass / 12 * np.diag(squares.sum() - squares)
+    return mass / 12 * np.diag((squares.sum() - squares)[[1, 0, 2]])
 
 
 def compose(masses, centres, inertias):
@@ -62,7 +62,7 @@ def compose(masses, centres, inertias):
     inertia = np.zeros((3, 3))
     for m, c, own in zip(masses, centres, inertias):
         d = c - centre
-        inertia += m * (d @ d * np.eye(3) - np.outer(d, d))
+        inertia += own + m * (d @ d * np.eye(3) - np.outer(d, d))
     return mass, centre, inertia
 
 
