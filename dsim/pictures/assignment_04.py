@@ -51,8 +51,8 @@ def looped() -> tuple[Array, Array]:
 @style()
 def tumbling() -> Figure:
     """A box that turns over, frame by frame; its spin; and what must not change, for both methods."""
-    figure = Figure(figsize=(9.0, 5.4))
-    film, curves = figure.subfigures(2, 1, height_ratios=[1.0, 2.6])
+    figure = Figure(figsize=(9.0, 5.6))
+    film, curves = figure.subfigures(2, 1, height_ratios=[1.0, 2.4])
     t, (Q, W) = STEP * np.arange(STEPS + 1), carried()
     for panel, n in zip(film.subplots(1, FRAMES), frames(W), strict=True):
         draw(panel, Q[n])
@@ -68,8 +68,8 @@ def tumbling() -> Figure:
             shown = np.maximum(change[1:], 1e-17)
             right.semilogy(t[1:], shown, color=COLOURS[i], linestyle=dash, label=f"{what}, {name}")
     label(right, "time (s)", "change since the start, relative", f"What should stay, h = {STEP} s")
-    right.set_ylim(1e-17, 1e6)
-    right.legend(fontsize=8, loc="upper center", ncols=2)
+    right.set_ylim(1e-17, 1e2)
+    right.legend(fontsize=9, loc=(0.32, 0.33))
     return figure
 
 

@@ -39,7 +39,9 @@ def inertia_of(rng):
 def parts(name, value, *shapes):
     if not isinstance(value, tuple | list) or len(value) != len(shapes):
         raise ItemLost(f"{name} must return {len(shapes)} values; got {type(value).__name__}")
-    return [compare.array(f"value {i + 1} of {name}", part, shape) for i, (part, shape) in enumerate(zip(value, shapes))]
+    return [
+        compare.array(f"value {i + 1} of {name}", part, shape) for i, (part, shape) in enumerate(zip(value, shapes))
+    ]
 
 
 def attitude(name, q, expected):
@@ -133,7 +135,9 @@ def test_angular_acceleration(student, seed):
     """The momentum in the world, R I omega, a moment before and after: its rate is the torque, turned into the world."""
     rng = np.random.default_rng(seed)
     inertia, omega, torque = inertia_of(rng), rng.normal(size=3), rng.normal(size=3)
-    still = compare.array("angular_acceleration", student.call("angular_acceleration", inertia, 0 * omega, torque), (3,))
+    still = compare.array(
+        "angular_acceleration", student.call("angular_acceleration", inertia, 0 * omega, torque), (3,)
+    )
     compare.close("I d(omega)/dt of a body at rest", inertia @ still, torque, 1e-11)
     student.award(0.5)
     found = student.call("angular_acceleration", inertia, omega, torque)
