@@ -52,7 +52,7 @@ def looped() -> tuple[Array, Array]:
 def tumbling() -> Figure:
     """A box that turns over, frame by frame; its spin; and what must not change, for both methods."""
     figure = Figure(figsize=(9.0, 5.6))
-    film, curves = figure.subfigures(2, 1, height_ratios=[1.0, 2.4])
+    film, curves = np.asarray(figure.subfigures(2, 1, height_ratios=[1.0, 2.4]))
     t, (Q, W) = STEP * np.arange(STEPS + 1), carried()
     for panel, n in zip(film.subplots(1, FRAMES), frames(W), strict=True):
         draw(panel, Q[n])

@@ -40,7 +40,7 @@ def rate_world(q, omega):
 
 
 def exponential(r):
-    """The unit quaternion (4,) that turns by the angle |r| rad about r (3,).  Any r, also 0 and far above a full turn."""
+    """The unit quaternion (4,) that turns by the angle |r| rad about r (3,).  Any r, also 0, also above a full turn."""
     half = 0.5 * np.linalg.norm(r)
     return np.append(np.cos(half), 0.5 * np.sinc(half / np.pi) * r)
 
@@ -54,13 +54,13 @@ def box_inertia(sides, mass):
 def compose(masses, centres, inertias):
     """(mass, centre (3,), inertia (3,3)) of K parts, rigidly joined.
 
-    masses (K,), centres (K,3), inertias (K,3,3), each about the centre of its part; all in the same axes.  The result is
-    about the common centre of mass.
+    masses (K,), centres (K,3), inertias (K,3,3), each about the centre of its part; all in the same axes.  The result
+    is about the common centre of mass.
     """
     mass = masses.sum()
     centre = masses @ centres / mass
     inertia = np.zeros((3, 3))
-    for m, c, own in zip(masses, centres, inertias):
+    for m, c, own in zip(masses, centres, inertias, strict=True):
         d = c - centre
         inertia += own + m * (d @ d * np.eye(3) - np.outer(d, d))
     return mass, centre, inertia
@@ -86,7 +86,7 @@ def loop_step(mass, inertia, state, points, forces, h):
     forces (K,3) act at points (K,3), both in the frame of the world.  K may be 0.
     """
     x, q, v, omega = state
-    torque = sum((body_torque(q, x, p, f) for p, f in zip(points, forces)), np.zeros(3))
+    torque = sum((body_torque(q, x, p, f) for p, f in zip(points, forces, strict=True)), np.zeros(3))
     v = v + h * forces.sum(axis=0) / mass
     omega = omega + h * angular_acceleration(inertia, omega, torque)
     q = q + h * rate_body(q, omega)

@@ -40,7 +40,8 @@ def parts(name, value, *shapes):
     if not isinstance(value, tuple | list) or len(value) != len(shapes):
         raise ItemLost(f"{name} must return {len(shapes)} values; got {type(value).__name__}")
     return [
-        compare.array(f"value {i + 1} of {name}", part, shape) for i, (part, shape) in enumerate(zip(value, shapes))
+        compare.array(f"value {i + 1} of {name}", part, shape)
+        for i, (part, shape) in enumerate(zip(value, shapes, strict=True))
     ]
 
 
@@ -132,7 +133,7 @@ def test_compose(student, seed):
 
 @given(seed=seeds)
 def test_angular_acceleration(student, seed):
-    """The momentum in the world, R I omega, a moment before and after: its rate is the torque, turned into the world."""
+    """The momentum in the world, R I omega, before and after: its rate is the torque."""
     rng = np.random.default_rng(seed)
     inertia, omega, torque = inertia_of(rng), rng.normal(size=3), rng.normal(size=3)
     still = compare.array(
