@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 from dsim import scenes
 from dsim.pictures.assignment_02 import springs
 from dsim.pictures.assignment_03 import implicit_steps
+from dsim.pictures.assignment_04 import tumbling
 from dsim.pictures.assignment_06 import quasistatics
 from dsim.pictures.assignment_07 import discrete_adjoint
 from dsim.pictures.style import COLOURS, canvas, label, style
@@ -40,6 +41,7 @@ SUCCESS: dict[str, Callable[[], Figure]] = {
     "01": time_stepping,
     "02": springs,
     "03": implicit_steps,
+    "04": tumbling,
     "06": quasistatics,
     "07": discrete_adjoint,
 }

@@ -1,0 +1,142 @@
+"""Assignment 04: rotations and rigid bodies.
+
+Write the parts that raise NotImplementedError.  A quaternion is an array (4,): w, x, y, z.  A unit quaternion q turns
+vectors of the body into vectors of the world.  omega (3,) rad/s and inertia (3,3) kg m^2, about the centre of mass, are
+in the frame of the body where nothing else is said; positions, velocities and forces are in the frame of the world.
+"""
+
+import numpy as np
+
+
+def product(p, q):
+    """p (x) q of any two quaternions: what turns by q first, and then by p."""
+    # BEGIN SOLUTION: i j = k, j i = -k, and so on
+    a, b, c, d = p
+    w, x, y, z = q
+    return np.array(
+        [
+            a * w - b * x - c * y - d * z,
+            a * x + b * w + c * z - d * y,
+            a * y - b * z + c * w + d * x,
+            a * z + b * y - c * x + d * w,
+        ]
+    )
+    # END SOLUTION
+
+
+def rotate(q, u):
+    """The vector u (3,) of the body, seen from the world; q is a unit quaternion."""
+    # BEGIN SOLUTION: put u between q and its conjugate
+    conjugate = q * np.array([1.0, -1.0, -1.0, -1.0])
+    return product(product(q, np.append(0.0, u)), conjugate)[1:]
+    # END SOLUTION
+
+
+def rate_body(q, omega):
+    """dq/dt (4,) of a body with the angular velocity omega, given in the frame of the body."""
+    # BEGIN SOLUTION: on which side does omega stand?
+    return 0.5 * product(q, np.append(0.0, omega))
+    # END SOLUTION
+
+
+def rate_world(q, omega):
+    """dq/dt (4,) of a body with the angular velocity omega, given in the frame of the world."""
+    # BEGIN SOLUTION: and on which now?
+    return 0.5 * product(np.append(0.0, omega), q)
+    # END SOLUTION
+
+
+def exponential(r):
+    """The unit quaternion (4,) that turns by the angle |r| rad about r (3,).  Any r, also 0, also above a full turn."""
+    # BEGIN SOLUTION: np.sinc(x) is sin(pi x)/(pi x), and knows what to do at 0
+    half = 0.5 * np.linalg.norm(r)
+    return np.append(np.cos(half), 0.5 * np.sinc(half / np.pi) * r)
+    # END SOLUTION
+
+
+def box_inertia(sides, mass):
+    """The inertia (3,3) kg m^2 of a solid box about its centre, along its edges.  sides (3,) m, whole edges."""
+    # BEGIN SOLUTION: the side along the axis does not count
+    squares = sides**2
+    return mass / 12 * np.diag(squares.sum() - squares)
+    # END SOLUTION
+
+
+def compose(masses, centres, inertias):
+    """(mass, centre (3,), inertia (3,3)) of K parts, rigidly joined.
+
+    masses (K,), centres (K,3), inertias (K,3,3), each about the centre of its part; all in the same axes.  The result
+    is about the common centre of mass.
+    """
+    # BEGIN SOLUTION: the centre first, then the theorem of parallel axes for each part
+    mass = masses.sum()
+    centre = masses @ centres / mass
+    inertia = np.zeros((3, 3))
+    for m, c, own in zip(masses, centres, inertias, strict=True):
+        d = c - centre
+        inertia += own + m * (d @ d * np.eye(3) - np.outer(d, d))
+    return mass, centre, inertia
+    # END SOLUTION
+
+
+def angular_acceleration(inertia, omega, torque):
+    """d(omega)/dt (3,) by Euler's equations; everything in the frame of the body.  inertia need not be diagonal."""
+    # BEGIN SOLUTION: without the gyroscopic term nothing would tumble
+    return np.linalg.solve(inertia, torque - np.cross(omega, inertia @ omega))
+    # END SOLUTION
+
+
+def body_torque(q, x, point, force):
+    """The torque (3,) about the centre of mass x (3,), in the frame of the body, of a force (3,) N at a point (3,) m.
+
+    x, point and force are in the frame of the world.
+    """
+    # BEGIN SOLUTION: an arm, a product, and a turn
+    conjugate = q * np.array([1.0, -1.0, -1.0, -1.0])
+    return rotate(conjugate, np.cross(point - x, force))
+    # END SOLUTION
+
+
+def loop_step(mass, inertia, state, points, forces, h):
+    """The state (x, q, v, omega) after one step of the lecture's loop.
+
+    forces (K,3) act at points (K,3), both in the frame of the world.  K may be 0.
+    """
+    x, q, v, omega = state
+    # BEGIN SOLUTION: sum forces and torques, velocities, degrees of freedom, norm
+    torque = sum((body_torque(q, x, p, f) for p, f in zip(points, forces, strict=True)), np.zeros(3))
+    v = v + h * forces.sum(axis=0) / mass
+    omega = omega + h * angular_acceleration(inertia, omega, torque)
+    q = q + h * rate_body(q, omega)
+    return x + h * v, q / np.linalg.norm(q), v, omega
+    # END SOLUTION
+
+
+def exponential_step(mass, inertia, state, points, forces, h):
+    """As `loop_step`, but q is turned by exactly h omega, so that its norm stays what it is."""
+    x, q, v, omega = state
+    # BEGIN SOLUTION: the velocities are those of the loop
+    x, _, v, omega = loop_step(mass, inertia, state, points, forces, h)
+    return x, product(q, exponential(h * omega)), v, omega
+    # END SOLUTION
+
+
+def free_body(inertia, q, omega, h, steps):
+    """(Q (steps+1,4), W (steps+1,3)): attitude and spin of a body without forces, the start in row 0.
+
+    Order 2; the angular momentum in the frame of the world does not change at all.
+    """
+    # BEGIN SOLUTION: carry the momentum, not the spin
+    momentum = rotate(q, inertia @ omega)
+    back = np.array([1.0, -1.0, -1.0, -1.0])
+
+    def spin(q):
+        return np.linalg.solve(inertia, rotate(q * back, momentum))
+
+    Q, W = [q], [omega]
+    for _ in range(steps):
+        middle = product(Q[-1], exponential(h / 2 * W[-1]))
+        Q.append(product(Q[-1], exponential(h * spin(middle))))
+        W.append(spin(Q[-1]))
+    return np.array(Q), np.array(W)
+    # END SOLUTION
