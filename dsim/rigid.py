@@ -356,7 +356,7 @@ def as_inertia(value: Any, count: int) -> Array:
             raise ValueError(f"inertia must be positive definite; body {body} has principal moments {_listed(moments)}")
         if moments[2] > (moments[0] + moments[1]) * (1 + 1e-9):
             raise ValueError(
-                f"no principal moment may exceed the sum of the others; body {body} has {_listed(moments)} "
+                f"inertia: no principal moment may exceed the sum of the others; body {body} has {_listed(moments)} "
                 "(is it about the centre of mass?)"
             )
     return np.stack([matrices[:, i, j] for i, j in ENTRIES], axis=1)
