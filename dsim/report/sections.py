@@ -6,6 +6,7 @@ from functools import partial
 
 from dsim.report import derivations, methods
 from dsim.report.accuracy import accuracy
+from dsim.report.bodies import bodies
 from dsim.report.environment import build_environment
 from dsim.report.gradients import gradients
 from dsim.report.hard_cases import hard_cases
@@ -24,6 +25,7 @@ def jobs(full: bool = False) -> tuple[SectionJob, ...]:
         SectionJob("showcases", "Gradients put to work", partial(showcases, full=full)),
         SectionJob("steppers", "Steppers and their linearizations", partial(derivations.steppers, full=full)),
         SectionJob("derivatives", "Forces and their derivatives", partial(derivations.derivatives, full=full)),
+        SectionJob("bodies", "Rigid bodies", bodies),
         SectionJob("newton", "Newton's method", methods.newton),
         SectionJob("hard-cases", "Hard cases: the naive method and one that survives", partial(hard_cases, full=full)),
         SectionJob("plans", "Only the effects a scene calls for", plans, alone=True),

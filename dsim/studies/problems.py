@@ -127,7 +127,7 @@ class Problem:
         Multiples of the golden ratio modulo 1 are no fractions of any period: at whole periods symplectic Euler
         would seem to have order 2.  The truth is evaluated at the method's own times; nothing is interpolated.
         """
-        states = self.truth(method).states
+        states = self.exact or self.truth(method).states  # a closed form needs no gradient beside it
         chosen = sample(t, self.duration)
         truth = np.stack([states(float(t[n])) for n in chosen])
         with np.errstate(over="ignore", invalid="ignore"):
