@@ -73,7 +73,7 @@ def test_a_heavy_top_in_steady_precession_does_not_nod():
     assert np.arctan2(axis[1], axis[0]) == pytest.approx(3.0 * slow, abs=1e-6)
 
 
-@pytest.mark.parametrize("build", BOTH)
+@pytest.mark.parametrize("build", [free_top, pytest.param(heavy_top, marks=pytest.mark.slow)])
 def test_the_adjoint_equation_is_the_derivative(build):
     """By all 13 numbers of the start, q among them at any norm."""
     problem = build()

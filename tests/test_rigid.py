@@ -48,7 +48,9 @@ def order_problem():
     return catalog.BODY_ORDER_PROBLEMS[0]()
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize(
+    "name", [pytest.param(n, marks=pytest.mark.slow) if getattr(s, "implicit", False) else n for n, s in NAMES.items()]
+)
 def test_observed_order_on_bodies(name, order_problem):
     check, fit = check_order(NAMES[name], order_problem)
     assert check.passed and len(fit.h) == 6 and fit.r_squared >= 0.999, check
