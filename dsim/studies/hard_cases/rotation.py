@@ -208,7 +208,7 @@ def axes_of(system: RigidBodies, run: Trajectory) -> Array:
 
 def spinning_top(full: bool = False, survivor: Any = None) -> HardCaseResult:
     """Steady precession, nutation of a top let go, and the spin above which an upright one sleeps."""
-    tilt, spin, T, h = np.radians(30.0), 20.0, 20.0, 0.005 if full else 0.01
+    tilt, spin, T, h = np.radians(30.0), 20.0, 20.0, 0.005
     W = slow_precession(tilt, spin)
     system, y0 = heavy_tops([tilt, tilt, 1e-3, 1e-3], [spin, spin, 3.9, 4.1], [W, 0.0, 0.0, 0.0])
     run = record(survivor or RKMK4(), system, y0, h, round(T / h))
