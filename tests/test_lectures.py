@@ -121,6 +121,16 @@ def test_students_get_no_solutions(tiny: folder.Lecture) -> None:
     assert "secret" in json.dumps(notebook.read(tiny))
 
 
+def test_students_get_no_dead_links() -> None:
+    """Only notebooks are handed out: links to other files become words, addresses stay."""
+    for lecture in ALL:
+        kept = notebook.for_students(notebook.read(lecture))
+        prose = "\n".join(cell.source for cell in kept.cells if cell.cell_type == "markdown")
+        assert (
+            not re.search(r"(?<!!)\[[^\]]+\]\((?![a-z]+:)", prose) and "handout" not in prose and "Assignment" in prose
+        )
+
+
 def test_a_false_assert_is_told_with_its_cell(tiny: folder.Lecture, capsys: pytest.CaptureFixture[str]) -> None:
     tiny.path.write_text(tiny.path.read_text().replace("assert x == 1", "assert x == 2, 'one is not two'"))
     assert report.check(["01"], tiny.path.parent, 1) == 1

@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, Literal
 
+import numpy as np
+
 from dsim.arrays.checks import Array
 
 
@@ -16,6 +18,10 @@ class Entries:
     expected: Array
     found: Array
     tolerance: float
+
+    def worth(self, public: bool) -> bool:
+        """Whether it tells more than the words: where every entry of a hidden item is off, it does not."""
+        return public or bool((np.abs(self.found - self.expected) <= self.tolerance).any())
 
     def png(self, public: bool) -> bytes:
         """Values and errors; of a hidden item the errors alone, for values would tell its inputs."""
@@ -33,6 +39,10 @@ class Lines:
     y: str
     lines: tuple[tuple[str, Any, Any], ...]
     log: Literal["", "y", "xy"] = ""
+
+    def worth(self, public: bool) -> bool:
+        """Always."""
+        return True
 
     def png(self, public: bool) -> bytes:
         """The picture, the same for public and hidden items."""

@@ -65,7 +65,9 @@ def submissions_in(directory: Path) -> list[Path]:
         raise ValueError(f"SUBMISSIONS must be a directory; {directory} is a file: put it into one of its own")
     if not directory.is_dir():
         raise ValueError(f"SUBMISSIONS must be a directory; there is none at {directory}")
-    found = sorted(path for path in directory.iterdir() if path.suffix in KINDS and not path.name.startswith("._"))
+    found = sorted(
+        path for path in directory.iterdir() if path.suffix.lower() in KINDS and not path.name.startswith("._")
+    )
     if not found:
         hint = "; it has directories: copy each student's file out of its own" if any(directory.glob("*/")) else ""
         raise ValueError(f"SUBMISSIONS must hold {' or '.join(KINDS)} files; {directory} has none{hint}")

@@ -72,8 +72,10 @@ def picture_of(outcome: Outcome) -> bytes | None:
     """The PNG of an outcome, None where there is none.  A picture that cannot be drawn never costs a grade."""
     if outcome.picture is None or not outcome.lost:
         return None
+    public = outcome.item.visible == "public"
     with suppress(Exception):
-        return _drawn(_Same(outcome.picture, outcome.item.visible == "public"))
+        if outcome.picture.worth(public):
+            return _drawn(_Same(outcome.picture, public))
     return None
 
 
@@ -202,7 +204,7 @@ def _bands(scores: Sequence[float], most: int) -> list[str]:
     counts = Counter(min(int(10 * score / most), 10) for score in scores)
     unit = max(max(counts.values(), default=1) / 40, 1.0)
     rows = ["| points | submissions | |", "|---|---|---|"]
-    for band in range(11):
+    for band in range(min(counts, default=0), max(counts, default=10) + 1):
         points = f"{most}" if band == 10 else f"{band * most / 10:g} to below {(band + 1) * most / 10:g}"
         rows.append(f"| {points} | {counts[band]} | {'█' * round(counts[band] / unit)} |")
     return rows

@@ -50,7 +50,7 @@ def read(path: Path) -> Submission:
     name = printable(path.name)
     if path.is_symlink() or not path.is_file():
         raise SubmissionError(f"{name} must be a plain file, not a link or a directory")
-    if path.suffix not in KINDS:
+    if path.suffix.lower() not in KINDS:
         raise SubmissionError(f"{name} must end in {' or '.join(KINDS)}")
     with path.open("rb") as file:
         data = file.read(MOST_BYTES + 1)
@@ -60,9 +60,9 @@ def read(path: Path) -> Submission:
         text = data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise SubmissionError(f"{name} must be UTF-8 text; byte {error.start} is not") from None
-    parts = from_notebook(text, name) if path.suffix == ".ipynb" else [text]
+    parts = from_notebook(text, name) if path.suffix.lower() == ".ipynb" else [text]
     source = "\n\n".join(parts)
-    cells = _beginnings(parts) if path.suffix == ".ipynb" else ()
+    cells = _beginnings(parts) if path.suffix.lower() == ".ipynb" else ()
     try:
         ast.parse(source)
     except (SyntaxError, ValueError, RecursionError, MemoryError) as error:

@@ -50,11 +50,14 @@ def tags(cell: Any) -> list[str]:
 
 
 def for_students(notebook: Any) -> Any:
-    """Without the cells tagged "solution"."""
+    """Without the cells tagged "solution", and without links to files that students may not have beside it."""
     import copy
 
     kept = copy.deepcopy(notebook)
     kept.cells = [cell for cell in kept.cells if SOLUTION not in tags(cell)]
+    for cell in kept.cells:
+        if cell.cell_type == "markdown":
+            cell["source"] = re.sub(r"(?<!!)\[([^\]]+)\]\((?![a-z]+:)[^)]+\)", r"\1", cell.source)
     return kept
 
 

@@ -41,7 +41,7 @@ def isolation(other_user: bool, closed: list[Path]) -> type[SandboxedStudent]:
 
 def handed_in(directory: Path, name: str) -> Path | str:
     """The one submission, or what is wrong with what was handed in; NAME.py or NAME.ipynb wins where there are more."""
-    found = sorted(path for path in directory.rglob("*") if path.suffix in KINDS and path.name not in GIVEN)
+    found = sorted(path for path in directory.rglob("*") if path.suffix.lower() in KINDS and path.name not in GIVEN)
     named = [path for path in found if path.stem == name]
     if len(found) == 1 or len(named) == 1:
         return (named or found)[0]
