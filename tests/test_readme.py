@@ -3,6 +3,7 @@
 import re
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from dsim.report.readme import updated
@@ -60,6 +61,14 @@ def test_a_throw_is_aimed(capsys):
     names: dict = {"__name__": "readme"}
     exec(next(block for block in BLOCKS if "def throw" in block), names)
     assert names["found"].converged and names["found"].value < 1e-8 and capsys.readouterr().out
+
+
+def test_a_racket_turns_over(capsys):
+    names: dict = {"__name__": "readme"}
+    exec(next(block for block in BLOCKS if "racket = inertia" in block), names)
+    spin, by_inertia = names["run"].y[:, 11], names["by_inertia"].ravel()
+    assert spin[0] == 6 and spin[-1] < -4 and capsys.readouterr().out
+    assert abs(by_inertia @ names["body"].theta[1:]) < 1e-9 * np.abs(by_inertia).max() and np.abs(by_inertia).max() > 1
 
 
 def test_a_network_learns_to_throw(capsys):
