@@ -20,7 +20,7 @@ from dsim.studies.problems import Problem
 
 ROUND_OFF = 1e-12  # relative, what a method that keeps L in the world may lose of it
 KEEPERS = ("ImplicitMidpoint",)  # methods that promise to keep energy and momentum
-STEPS = 96, 192
+STEPS = 64, 128
 
 
 def bodies(progress: Progress) -> Section:
@@ -52,7 +52,7 @@ def bodies(progress: Progress) -> Section:
     return Section(lead, tuple(checks), (Table(columns, tuple(rows)),), (picture,))
 
 
-def flips(h: float = 0.04) -> tuple[float, float, Trajectory, Array]:
+def flips(h: float = 0.08) -> tuple[float, float, Trajectory, Array]:
     """(first flip, time between flips, a run, its flips)."""
     first, between = cases.intermediate_axis(cases.RACKET, cases.TOSSED)
     system, y0 = cases.free_body(cases.RACKET, cases.TOSSED)
