@@ -120,8 +120,8 @@ class Racket:
 
 
 def run(quick: bool, report: Report | None = None) -> Racket:
-    """quick: 16 steps.  In full: 100."""
-    return caught(toss(16 if quick else 100), report=report)
+    """quick: 16 steps.  In full: 50."""
+    return caught(toss(16 if quick else 50), report=report)
 
 
 def caught(task: Toss, iterations: int = 60, fit: Fit | None = None, report: Report | None = None) -> Racket:

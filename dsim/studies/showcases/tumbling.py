@@ -133,8 +133,8 @@ class Tumbling:
 
 
 def run(quick: bool, report: Report | None = None) -> Tumbling:
-    """quick: 12 steps, 10 draws.  In full: 36 steps, 100 draws."""
-    return weighed(12, 10, report) if quick else weighed(36, 100, report)
+    """quick: 12 steps, 10 draws.  In full: 24 steps, 60 draws."""
+    return weighed(12, 10, report) if quick else weighed(24, 60, report)
 
 
 def weighed(steps: int, draws: int, report: Report | None = None) -> Tumbling:
