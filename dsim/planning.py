@@ -16,6 +16,7 @@ import numpy as np
 from dsim.arrays.checks import Array, as_array, as_step
 from dsim.effects.rows import has_rows
 from dsim.solve.linear import DENSE_SIZE
+from dsim.steppers import body_run
 from dsim.steppers.checkpoints import Checkpoints
 from dsim.steppers.explicit_run import applies
 from dsim.steppers.stepper import FACTOR_BYTES, Counters, Ode, Stepper
@@ -97,7 +98,8 @@ class Plan:
             return
         each = "at least " if self.implicit else ""
         for effect in self.system.effects:
-            where = "in place" if self.rows and has_rows(effect) else "by its force"
+            on_rows = self.rows or body_run.applies(self.stepper, self.system)
+            where = "in place" if on_rows and has_rows(effect) else "by its force"
             yield Line("on", effect.name, f"{each}{self.predicted.forces} calls a step, {where}")
             if getattr(effect, "differenced", False):
                 yield Line("on", f"{effect.name} differences", "no Jacobian was given: 9 to 10 digits, extra calls")

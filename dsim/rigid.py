@@ -206,6 +206,11 @@ class RigidBodies(System):
         six = np.stack([inverse[:, i, j] for i, j in ENTRIES], axis=1)
         return np.asarray(1 / self.mass[:, None]), six
 
+    @property
+    def inverse_inertia(self) -> Array:
+        """The six numbers (B,6) of each inverse inertia."""
+        return self._solver[1]
+
     def inverse_root(self) -> csr_array:
         from scipy.sparse import csr_array
 

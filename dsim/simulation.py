@@ -17,6 +17,7 @@ from dsim.arrays.checks import Array, as_array, as_count, as_step
 from dsim.arrays.frozen import replace
 from dsim.planning import Plan
 from dsim.solve.newton import Status
+from dsim.steppers import body_run
 from dsim.steppers.checkpoints import Checkpoints
 from dsim.steppers.explicit_run import ExplicitRun
 from dsim.steppers.replay import Replay, RowReplay, Snapshots, StepReplay
@@ -225,6 +226,8 @@ def record(stepper: Stepper, system: Ode, y0: Any, h: float, steps: int, keep: K
         return _checkpointed(Snapshots(keep, replay, y0), (stepper, system), h, steps)
     if rows:
         return _explicit(ExplicitRun(stepper, system, h), y0, steps, keep)
+    if keep == "states" and body_run.applies(stepper, system):
+        return _bodies(body_run.BodyRun(stepper, system, h), (stepper, system), y0, steps)
     y = np.empty((steps + 1, system.size))
     y[0] = y0
     return _stepwise(stepper, system, y, h, keep)
@@ -239,6 +242,16 @@ def _explicit(run: ExplicitRun, y0: Array, steps: int, keep: Keep) -> Trajectory
     counters = Counters(forces=taken * run.stages)
     t: Array = run.h * np.arange(done + 1, dtype=float)
     return Trajectory(run.stepper, run.system, run.h, t, None, status, counters, run=run)
+
+
+def _bodies(run: body_run.BodyRun, method: tuple[Stepper, Ode], y0: Array, steps: int) -> Trajectory:
+    """All steps at once, on component rows."""
+    with np.errstate(all="ignore"):
+        y, forces = run.evaluate(y0, steps)
+    done = len(y) - 1
+    status = Status.CONVERGED if done == steps else Status.NOT_FINITE
+    t: Array = run.h * np.arange(done + 1, dtype=float)
+    return Trajectory(*method, run.h, t, y, status, Counters(forces=forces))
 
 
 def _checkpointed(snapshots: Snapshots, method: tuple[Stepper, Ode], h: float, steps: int) -> Trajectory:

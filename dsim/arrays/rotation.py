@@ -15,6 +15,7 @@ import numpy as np
 from dsim.arrays.checks import Array, as_array
 
 SMALL = 1e-4  # rad^2: below, series; their next terms are under the round-off of 1
+TINY = 1e-150  # rad: sin(TINY)/TINY is 1, and no product of it underflows
 
 
 def as_unit(name: str, value: Any, shape: tuple[int | None, ...] = (4,)) -> Array:
@@ -38,9 +39,14 @@ def conjugate(q: Array) -> Array:
     return q * [1.0, -1.0, -1.0, -1.0]
 
 
+def _room(a: Array, b: Array) -> Array:
+    """Room for a result, laid out as a is: where components are contiguous rows (3,B).T they stay so."""
+    return np.empty_like(a, dtype=float, shape=np.broadcast_shapes(a.shape, b.shape))
+
+
 def cross(a: Array, b: Array) -> Array:
     """a x b along the last axis; several times as quick as numpy.cross."""
-    out = np.empty(np.broadcast_shapes(a.shape, b.shape))
+    out = _room(a, b)
     for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
         np.subtract(a[..., j] * b[..., k], a[..., k] * b[..., j], out=out[..., i])
     return out
@@ -56,7 +62,7 @@ def skew(w: Array) -> Array:
 
 def product(p: Array, q: Array) -> Array:
     """p (x) q: turns by q first, then by p."""
-    out = np.empty(np.broadcast_shapes(p.shape, q.shape))
+    out = _room(p, q)
     pw, px, py, pz = (p[..., i] for i in range(4))
     qw, qx, qy, qz = (q[..., i] for i in range(4))
     out[..., 0] = pw * qw - px * qx - py * qy - pz * qz
@@ -106,13 +112,10 @@ def from_matrix(R: Array) -> Array:
 
 def exponential(r: Array) -> Array:
     """The turn by |r| rad about r: (cos |r|/2, sin(|r|/2) r/|r|)."""
-    square = np.einsum("...i,...i->...", r, r)
-    small = square < SMALL
-    half = 0.5 * np.sqrt(np.where(small, 1.0, square))
-    series = 0.5 - square / 48 + square**2 / 3840
-    out = np.empty((*r.shape[:-1], 4))
-    out[..., 0] = np.where(small, 1 - square / 8 + square**2 / 384, np.cos(half))
-    np.multiply(np.where(small, series, np.sin(half) / (2 * half))[..., None], r, out=out[..., 1:])
+    half = np.maximum(0.5 * np.sqrt(np.einsum("...i,...i->...", r, r)), TINY)
+    out = np.empty_like(r, dtype=float, shape=(*r.shape[:-1], 4))
+    np.cos(half, out=out[..., 0])
+    np.multiply((np.sin(half) / (2 * half))[..., None], r, out=out[..., 1:])
     return out
 
 
@@ -135,7 +138,7 @@ def cayley(r: Array) -> Array:
 
     What normalising q + qdot h makes of a step: the notes' loop turns by this map.
     """
-    out = np.empty((*r.shape[:-1], 4))
+    out = np.empty_like(r, dtype=float, shape=(*r.shape[:-1], 4))
     scale = 1 / np.sqrt(1 + 0.25 * np.einsum("...i,...i->...", r, r))
     out[..., 0] = scale
     np.multiply((0.5 * scale)[..., None], r, out=out[..., 1:])

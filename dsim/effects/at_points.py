@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from dsim.arrays.checks import Array, Numbers, as_array
 from dsim.arrays.frozen import replace
 from dsim.arrays.rotation import conjugate, cross, rotate, skew, to_matrix
-from dsim.effects.bodies import BodyLayout
-from dsim.effects.rows import products
+from dsim.effects.bodies import BodyLayout, Poses
+from dsim.effects.rows import has_rows, products
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
@@ -176,6 +176,12 @@ class AtPoints:
             return getattr(self, f"_{label}")
         return getattr(self.effect, label)
 
+    @property
+    def rows(self) -> Any:
+        """Where the inner effect has rows and acts on the centres of a scene of bodies alone."""
+        alone = self.markers.centred and not self.markers.layout.particles
+        return (lambda: CentreRows(self.effect.rows())) if alone and has_rows(self.effect) else None
+
     def exchanged(self, **values: Any) -> AtPoints:
         """With other parameter values."""
         return replace(self, effect=replace(self.effect, **values))
@@ -247,3 +253,15 @@ class AtPoints:
             forces = m.local(q, self.effect.force(t, x, u).reshape(-1, 3))
             by_q = by_q + m.twist(swung + cross(forces, cross(m.offsets, turns)))
         return by_q, by_v, theta_bar
+
+
+class CentreRows:
+    """Rows of an effect of points on the centres of bodies."""
+
+    def __init__(self, rows: Any) -> None:
+        self._rows, self._saved = rows, tuple(np.empty(shape) for shape in rows.saves)
+        if (constant := getattr(rows, "constant", None)) is not None:
+            self.constant = np.concatenate([constant, np.zeros_like(constant)])
+
+    def add_force(self, t: float, place: Poses, v: Array, out: Array) -> None:
+        self._rows.add_force(t, place.poses[:3], v[:3], out[:3], self._saved)

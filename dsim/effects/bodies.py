@@ -11,12 +11,32 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dsim.arrays.checks import Array
 from dsim.arrays.rotation import conjugate, product
+
+
+class Poses(Protocol):
+    """A place, on component rows."""
+
+    @property
+    def poses(self) -> Array:
+        """(7,B)."""
+        ...
+
+
+class BodyRows(Protocol):
+    """A bound effect of bodies on component rows, which an explicit run evaluates in place; `rows()` makes one."""
+
+    # `constant` (6,B), where an effect has it, is its force at any time and state: `add_force` is not called then
+
+    def add_force(self, t: float, place: Poses, v: Array, out: Array) -> None:
+        """out (6,B) += force; v (6,B)."""
+        ...
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from dsim.arrays.checks import Array
 from dsim.arrays.rotation import cross, skew
-from dsim.effects.bodies import BodyLayout
+from dsim.effects.bodies import BodyLayout, Poses
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
@@ -35,6 +35,33 @@ def angular_momentum(six: Array, w: Array) -> Array:
     out[:, 1] = xy * x + yy * y + yz * z
     out[:, 2] = xz * x + yz * y + zz * z
     return out
+
+
+class InertiaRows:
+    """I omega on component rows; products only with those of the six numbers that are not 0 for all bodies."""
+
+    def __init__(self, six: Array) -> None:
+        self._diagonal = six[:, :3].T.copy()
+        self._others = [(i, j, six[:, p].copy()) for p, (i, j) in enumerate(ENTRIES) if i != j and six[:, p].any()]
+
+    def times(self, w: Array) -> Array:
+        """(3,B) -> (3,B)."""
+        out = self._diagonal * w
+        for i, j, entry in self._others:
+            out[i] += entry * w[j]
+            out[j] += entry * w[i]
+        return out
+
+
+class GyroscopicRows:
+    """The torque on component rows, of the bodies it acts on."""
+
+    def __init__(self, inertia: Array, acting: Any) -> None:
+        self._inertia, self._acting = InertiaRows(inertia[acting]), acting
+
+    def add_force(self, t: float, place: Poses, v: Array, out: Array) -> None:
+        w = v[3:][:, self._acting]
+        out[3:][:, self._acting] += cross(self._inertia.times(w).T, w.T).T
 
 
 def by_inertia(w: Array) -> Array:
@@ -66,6 +93,9 @@ class Gyroscopic:
         w = self.layout.spins(v)[self.acting]
         self.layout.spins(out)[self.acting] = cross(angular_momentum(self.inertia[self.acting], w), w)
         return out
+
+    def rows(self) -> GyroscopicRows:
+        return GyroscopicRows(self.inertia, self.acting)
 
     def dv(self, t: float, q: Array, v: Array) -> csr_array:
         """[I omega]x - [omega]x I."""

@@ -10,6 +10,7 @@ import numpy as np
 
 from dsim.arrays.checks import Array
 from dsim.effects import Actuation, AngularDrag, Attached, Drag, Gravity, SpringDamping, Springs, TorqueActuation
+from dsim.effects.rows import has_rows
 from dsim.rigid import RigidBodies
 from dsim.studies.check import Check
 from dsim.studies.convergence import OrderProblem, with_reference
@@ -78,6 +79,25 @@ def _effect_checks(example: BodyEffectExample, seed: int) -> Iterator[Check]:
     by_q, by_v = system.vjp(t, q, v, w, theta_bar)
     expected = np.concatenate([measured[name].T @ w for name in ("dq", "dv", "dtheta")])
     yield verdict(subject, "vjp = transposed Jacobians", deviation(np.concatenate([by_q, by_v, theta_bar]), expected))
+    if has_rows(effect):
+        force = effect.force(t, q, v)
+        yield verdict(subject, "rows = force", deviation(_by_rows(effect.rows(), t, q, v), force), 1e-13)
+
+
+@dataclass(frozen=True)
+class _Given:
+    poses: Array
+
+
+def _by_rows(rows: Any, t: float, q: Array, v: Array) -> Array:
+    """A force (n,) on bodies alone by what an explicit run evaluates in place."""
+    before = np.linspace(-1.0, 1.0, len(v)).reshape(6, -1)
+    after = before.copy()
+    if hasattr(rows, "constant"):
+        after += rows.constant
+    else:
+        rows.add_force(t, _Given(q.reshape(-1, 7).T.copy()), v.reshape(-1, 6).T.copy(), after)
+    return np.asarray((after - before).T.ravel())
 
 
 def _unit(system: RigidBodies, q: Array) -> Array:

@@ -1,0 +1,120 @@
+"""A whole explicit run of rigid bodies on component rows, one contiguous row a component: poses (7,B), twists (6,B).
+
+The rules and the maps are those of the plain path, the forces those of the effects, in place where they have rows.
+Tests hold the states against the plain path; gradients are made from the states, step by step.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from dsim.arrays import rotation
+from dsim.arrays.checks import Array
+from dsim.effects.bodies import BodyRows
+from dsim.effects.gyroscopic import InertiaRows
+from dsim.effects.rows import has_rows
+from dsim.rigid import RigidBodies
+from dsim.steppers.rule import RuleStepper
+
+
+def applies(stepper: Any, system: Any) -> bool:
+    """Whether the run is one of `BodyRun`: an explicit one-step rule that turns by a map, on bodies alone."""
+    if type(system) is not RigidBodies or system.frame.particles or any(hasattr(e, "at") for e in system.effects):
+        return False
+    plain = type(stepper).step is RuleStepper.step and not stepper.implicit and stepper.history == 1
+    return plain and stepper.rotation in ("exponential", "cayley")
+
+
+class Place:
+    """Where a stage stands, xi (6,B) from the start of the step; its poses are made when a force asks for them."""
+
+    def __init__(self, run: BodyRun, start: Array, xi: Array) -> None:
+        self._run, self._start, self._xi = run, start, xi
+
+    @property
+    def poses(self) -> Array:
+        """(7,B)."""
+        return self._run.reached(self._start, self._xi) if self._xi.any() else self._start
+
+
+class BodyRun:
+    """Forces bound to rows; `evaluate` makes the states."""
+
+    def __init__(self, stepper: Any, system: RigidBodies, h: float) -> None:
+        self.stepper, self.h, self.bodies = stepper, h, system.frame.bodies
+        self._map = getattr(rotation, stepper.rotation)
+        self._constant = np.zeros((6, self.bodies))  # forces that are the same anywhere, summed once
+        self._forces: list[BodyRows] = []  # the others
+        for effect in system.effects:
+            rows: Any = effect.rows() if has_rows(effect) else ByForce(effect)
+            if (constant := getattr(rows, "constant", None)) is not None:
+                self._constant += constant
+            else:
+                self._forces.append(rows)
+        self._light, self._inverse = 1 / system.mass, InertiaRows(system.inverse_inertia)
+        self._evaluations = 0
+
+    def evaluate(self, y0: Array, steps: int) -> tuple[Array, int]:
+        """(states (K+1,13B), rates asked for): of the steps that stayed finite, K = steps unless one did not."""
+        split, self._evaluations = 7 * self.bodies, 0
+        poses, twists = np.empty((steps + 1, 7, self.bodies)), np.empty((steps + 1, 6, self.bodies))
+        poses[0], twists[0] = y0[:split].reshape(-1, 7).T, y0[split:].reshape(-1, 6).T
+        poses[0, 3:] = rotation.normalised(poses[0, 3:].T).T
+        zeros, done = np.zeros(split), 0
+        while done < steps:
+            self._advance(done * self.h, (poses[done], twists[done]), (poses[done + 1], twists[done + 1]))
+            q, v = poses[done + 1].reshape(-1), twists[done + 1].reshape(-1)
+            if q @ zeros != 0.0 or v @ zeros[: len(v)] != 0.0:  # 0 times what is not finite is NaN
+                break
+            done += 1
+        y = np.empty((done + 1, len(y0)))
+        y[:, :split].reshape(-1, self.bodies, 7)[:] = poses[: done + 1].transpose(0, 2, 1)
+        y[:, split:].reshape(-1, self.bodies, 6)[:] = twists[: done + 1].transpose(0, 2, 1)
+        y[0] = y0
+        return y, self._evaluations
+
+    def _advance(self, t: float, state: tuple[Array, Array], new: tuple[Array, Array]) -> None:
+        start, v = state
+        still = np.zeros_like(v)
+
+        def rate(t: float, xi: Array, v: Array) -> Array:
+            return self._rate(t, Place(self, start, xi), v)
+
+        if self.stepper.form == 2:
+            xi, new[1][:] = self.stepper.rule({0: still}, {0: v}, rate, t, self.h)
+        else:
+            whole = {0: np.stack([still, v])}
+            xi, new[1][:] = self.stepper.rule(whole, lambda t, y: np.stack([y[1], rate(t, *y)]), t, self.h)
+        self.reached(start, xi, new[0])
+
+    def reached(self, start: Array, xi: Array, out: Array | None = None) -> Array:
+        """q0 (x) map(xi) on rows."""
+        out = np.empty_like(start) if out is None else out
+        np.add(start[:3], xi[:3], out=out[:3])
+        out[3:] = rotation.normalised(rotation.product(start[3:].T, self._map(xi[3:].T))).T
+        return out
+
+    def _rate(self, t: float, place: Place, v: Array) -> Array:
+        """M^-1 f."""
+        self._evaluations += 1
+        out = self._constant.copy()
+        for effect in self._forces:
+            effect.add_force(t, place, v, out)
+        out[:3] *= self._light
+        out[3:] = self._inverse.times(out[3:])
+        return out
+
+
+class ByForce:
+    """Any effect, through its public `force`."""
+
+    def __init__(self, effect: Any) -> None:
+        self.effect = effect
+
+    def add_force(self, t: float, place: Place, v: Array, out: Array) -> None:
+        force = np.asarray(self.effect.force(t, place.poses.T.ravel(), v.T.ravel()))
+        if force.shape != (out.size,):
+            raise ValueError(f"force of {self.effect.name!r} must return shape {(out.size,)}; got {force.shape}")
+        out += force.reshape(-1, 6).T
