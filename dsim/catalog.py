@@ -184,6 +184,8 @@ SCENES: tuple[Callable[..., Any], ...] = (
     scenes.kepler,
     scenes.robot,
     scenes.river,
+    scenes.racket,
+    scenes.sign,
 )
 
 SHOWCASES: tuple[Showcase, ...] = (

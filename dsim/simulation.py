@@ -226,8 +226,9 @@ def record(stepper: Stepper, system: Ode, y0: Any, h: float, steps: int, keep: K
         return _checkpointed(Snapshots(keep, replay, y0), (stepper, system), h, steps)
     if rows:
         return _explicit(ExplicitRun(stepper, system, h), y0, steps, keep)
+    bodies: Any = system
     if keep == "states" and body_run.applies(stepper, system):
-        return _bodies(body_run.BodyRun(stepper, system, h), (stepper, system), y0, steps)
+        return _bodies(body_run.BodyRun(stepper, bodies, h), (stepper, system), y0, steps)
     y = np.empty((steps + 1, system.size))
     y[0] = y0
     return _stepwise(stepper, system, y, h, keep)

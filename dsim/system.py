@@ -248,12 +248,24 @@ class System:
             total = total + self.jacobian(effect, capability, place)
         return csr_array(total)
 
-    def jacobian(self, effect: Any, capability: str, place: tuple[Any, ...]) -> csr_array:
-        """An effect's dq or dv as CSR, whatever it came as; ValueError for another shape."""
-        matrix = getattr(effect, capability)(*place)
+    def dense(self, capability: str, t: float, q: Array, v: Array) -> Array:
+        """`dq` or `dv` as an array (n,n), for few degrees of freedom: without a sparse matrix between."""
+        total = np.zeros((self.n, self.n))
+        for effect in self.having(capability):
+            matrix = getattr(effect, capability)(t, q, v)
+            self._check_square(effect, capability, matrix)
+            total += matrix if isinstance(matrix, np.ndarray) else matrix.toarray()
+        return total
+
+    def _check_square(self, effect: Any, capability: str, matrix: Any) -> None:
         if np.shape(matrix) != (self.n, self.n):
             shape = (self.n, self.n)
             raise ValueError(f"{capability} of {effect.name!r} must return shape {shape}; got {np.shape(matrix)}")
+
+    def jacobian(self, effect: Any, capability: str, place: tuple[Any, ...]) -> csr_array:
+        """An effect's dq or dv as CSR, whatever it came as; ValueError for another shape."""
+        matrix = getattr(effect, capability)(*place)
+        self._check_square(effect, capability, matrix)
         if getattr(matrix, "format", "") == "csr":
             return matrix
         from scipy.sparse import csr_array

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from dsim import Flow, System, adjoint, catalog, plan, simulate
+from dsim import Flow, System, adjoint, catalog, plan, scenes, simulate
 from dsim.cli import app
 from dsim.effects import Drag, Field, Gravity, Springs
 from dsim.planning import highest_damping, highest_frequency
@@ -150,7 +150,15 @@ def test_pay_back_tells_cost_and_change():
     assert set(rows) == {effect.name for effect in scene.system.effects}
     assert rows["gravity"].change > 0.1 and all(row.cost > 0 and row.forces == 0 for row in rows.values())
     with pytest.raises(ValueError, match="river is a flow"):
-        pay_back(catalog.SCENES[-1]())
+        pay_back(scenes.river())
+
+
+def test_pay_back_of_bodies_tells_what_the_gyroscopic_torque_changes():
+    rows = {row.effect: row for row in pay_back(scenes.racket(steps=120), rounds=1)}
+    assert set(rows) == {"gyroscopic"} and rows["gyroscopic"].change > 0.1
+    hung = {row.effect: row.change for row in pay_back(scenes.sign(steps=10), rounds=1)}
+    assert set(hung) == {"drag", "angular_drag", "gravity", "springs", "spring_damping", "wind", "gyroscopic"}
+    assert hung["springs"] > hung["wind"] > 0
 
 
 def test_the_command():

@@ -1,5 +1,7 @@
 """Scenes against closed forms and what they must conserve."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.special import ellipj, ellipk
@@ -65,3 +67,46 @@ def test_the_stiff_pendulum_swings_like_a_rigid_one():
     closed *= np.sign(angle[0] * closed[0])
     assert np.abs(angle - closed)[run.t <= 1.3].max() < 3e-3  # 1.5e-3 measured: the spring gives, and h = 5 ms
     assert run.t[-1] > 4 * ellipk(np.sin(1.0) ** 2) / w / 2  # more than half a period was looked at
+
+
+def test_a_small_twist_of_the_sign_is_a_bifilar_pendulum():
+    """w = b sqrt(m g / (I L)): b half the distance of the chains, L their length, I about the vertical."""
+    scene = scenes.sign(twist=0.02, links=1, stiffness=1e6, wind=0.0, h=0.005, steps=200)
+    run, system = scene.simulate(), scene.system
+    turned = 2 * np.array([system.frame.turns(q)[0, 3] for q in run.q])  # about the vertical, rad
+    w = 0.3 * np.sqrt(1.5 * 9.81 / (system.inertia[0, 2] * 0.5))
+    crossings = run.t[1:][turned[1:] * turned[:-1] < 0]
+    assert len(crossings) == 2 and np.diff(crossings) == pytest.approx(np.pi / w, abs=0.011)  # twice h
+    still = scenes.sign(twist=0.0, wind=0.0, stiffness=1e6).simulate()
+    assert np.abs(still.q - still.q[0]).max() < 1e-4
+
+
+def test_the_sign_says_how_far_it_can_be_twisted():
+    for twist in (2.0, -3.5, 7.0):
+        with pytest.raises(ValueError, match="twist must lie between"):
+            scenes.sign(twist=twist)
+    assert len(scenes.sign(twist=1.9).y0)
+
+
+def test_the_racket_flips_when_the_elliptic_functions_say():
+    """omega_2 changes its sign each 2K/p; omega_2 = w_2 cd-like, read here from crossings half a wave apart."""
+    scene = scenes.racket(h=0.005, steps=600)
+    I1, I2, I3 = scene.system.inertia[0, :3]
+    w1, w2, w3 = scene.y0[10:]
+    T2, LL = I1 * w1**2 + I2 * w2**2 + I3 * w3**2, (I1 * w1) ** 2 + (I2 * w2) ** 2 + (I3 * w3) ** 2
+    a, b = (I3 - I2) * (LL - T2 * I1), (I2 - I1) * (T2 * I3 - LL)  # LL against T2 I2 says which is the larger
+    p, k2 = np.sqrt(max(a, b) / (I1 * I2 * I3)), min(a, b) / max(a, b)
+    spin = scene.simulate().y[:, 11]
+    crossings = np.flatnonzero(spin[1:] * spin[:-1] < 0) * scene.h
+    assert len(crossings) >= 2 and np.diff(crossings) == pytest.approx(2 * ellipk(k2) / p, abs=0.02)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [({"shapes": [[], []]}, "shapes must be one for each of the 1 rigid bodies"),
+     ({"knots": ([9], [[0, 0, 0]])}, r"knots\[0\] must be a centre for each of the 1 places; got \[9\]"),
+     ({"edges": [(0, 1)]}, "edges")],
+)  # fmt: skip
+def test_drawings_of_bodies_are_checked(change, words):
+    with pytest.raises(ValueError, match=words):
+        replace(scenes.racket(), **change)

@@ -22,6 +22,7 @@ from dsim.effects.rows import has_rows, products
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
+FEW = 20_000  # numbers of J
 OPTIONAL = (
     "energy",
     "dtheta",
@@ -125,11 +126,23 @@ class Markers:
         total: Any = np.bincount(dofs.ravel(), np.ascontiguousarray(torques).ravel(), self.layout.n)
         return np.asarray(total)
 
-    def jacobian(self, q: Array, arms: Array | None = None) -> csr_array:
-        """J, CSR (3M,n).  With arms (A,3) in place of the offsets, only what turns move: -R [arm]x."""
+    @property
+    def few(self) -> bool:
+        """Whether J is made as an array: below some thousand numbers a sparse product costs more than a dense one."""
+        return 3 * len(self.to) * self.layout.n <= FEW
+
+    def jacobian(self, q: Array, arms: Array | None = None) -> Any:
+        """J (3M,n), CSR unless `few`.  With arms (A,3) in place of the offsets, only what turns move: -R [arm]x."""
+        turned = -to_matrix(self.layout.turns(q)[self.bodies]) @ skew(self.offsets if arms is None else arms)
+        if self.few:
+            J = np.zeros((3 * len(self.to), self.layout.n))
+            if arms is None:
+                J[np.arange(len(J)), self.layout.centre_dofs[self.to].ravel()] = 1.0
+            lines = 3 * self.arms[:, None, None] + np.arange(3)[:, None]
+            J[lines, self.layout.spin_dofs[self.bodies][:, None, :]] = turned
+            return J
         from scipy.sparse import csr_array
 
-        turned = -to_matrix(self.layout.turns(q)[self.bodies]) @ skew(self.offsets if arms is None else arms)
         rows = np.broadcast_to(3 * self.arms[:, None, None] + np.arange(3)[:, None], turned.shape)
         columns = np.broadcast_to(self.layout.spin_dofs[self.bodies][:, None, :], turned.shape)
         entries, r, c = turned.ravel(), rows.ravel(), columns.ravel()
@@ -139,12 +152,16 @@ class Markers:
             r, c = np.concatenate([np.arange(len(dofs)), r]), np.concatenate([dofs, c])
         return csr_array((entries, (r, c)), shape=(3 * len(self.to), self.layout.n))
 
-    def turning(self, q: Array, forces: Array) -> csr_array:
-        """d(J^T f)/dq at fixed f, CSR (n,n): [p]x [R^T f]x at every arm."""
-        from scipy.sparse import csr_array
-
+    def turning(self, q: Array, forces: Array) -> Any:
+        """d(J^T f)/dq at fixed f, (n,n), CSR unless `few`: [p]x [R^T f]x at every arm."""
         blocks = skew(self.offsets) @ skew(self.local(q, forces))
         places = self.layout.spin_dofs[self.bodies]
+        if self.few:
+            total = np.zeros((self.layout.n, self.layout.n))
+            np.add.at(total, (places[:, :, None], places[:, None, :]), blocks)  # several arms on one body add up
+            return total
+        from scipy.sparse import csr_array
+
         rows, columns = (np.broadcast_to(p, blocks.shape) for p in (places[:, :, None], places[:, None, :]))
         n = self.layout.n
         return csr_array((blocks.ravel(), (rows.ravel(), columns.ravel())), shape=(n, n))
@@ -213,27 +230,28 @@ class AtPoints:
     def dv(self) -> Any:
         return self._dv if self._needs[1] else None
 
-    def _dq(self, t: float, q: Array, v: Array) -> csr_array:
-        """J^T (Kx J + Dx d(Jv)/dq) + d(J^T f)/dq."""
-        from scipy.sparse import csr_array
+    def _points(self, capability: str, place: Any) -> Any:
+        """A matrix of the inner effect, as an array where J is one."""
+        matrix = getattr(self.effect, capability)(*place)
+        return matrix.toarray() if self.markers.few and not isinstance(matrix, np.ndarray) else matrix
 
+    def _dq(self, t: float, q: Array, v: Array) -> Any:
+        """J^T (Kx J + Dx d(Jv)/dq) + d(J^T f)/dq."""
         m, (x, u), total = self.markers, self._place(q, v), 0
         by_place, by_velocity, turns = self._needs
         J = m.jacobian(q)
         if by_place:
-            total = total + J.T @ self.effect.dq(t, x, u) @ J
+            total = total + J.T @ self._points("dq", (t, x, u)) @ J
         if turns:
             total = total + m.turning(q, self.effect.force(t, x, u).reshape(-1, 3))
             if by_velocity:
                 arms = cross(m.layout.spins(v)[m.bodies], m.offsets)
-                total = total + J.T @ self.effect.dv(t, x, u) @ m.jacobian(q, arms)
-        return csr_array(total)
+                total = total + J.T @ self._points("dv", (t, x, u)) @ m.jacobian(q, arms)
+        return total
 
-    def _dv(self, t: float, q: Array, v: Array) -> csr_array:
-        from scipy.sparse import csr_array
-
+    def _dv(self, t: float, q: Array, v: Array) -> Any:
         J = self.markers.jacobian(q)
-        return csr_array(J.T @ self.effect.dv(t, *self._place(q, v)) @ J)
+        return J.T @ self._points("dv", (t, *self._place(q, v))) @ J
 
     def _dtheta(self, t: float, q: Array, v: Array) -> csr_array:
         from scipy.sparse import csr_array

@@ -1,5 +1,16 @@
-"""Shapes: how heavy they are and how they resist turning."""
+"""Shapes: how heavy they are, how they resist turning, and their outlines for pictures."""
 
+from dsim.geometry.faces import box_faces, racket_faces
 from dsim.geometry.inertia import MassProperties, box, capsule, cylinder, polyhedron, solid, sphere
 
-__all__ = ["MassProperties", "box", "capsule", "cylinder", "polyhedron", "solid", "sphere"]
+__all__ = [
+    "MassProperties",
+    "box",
+    "box_faces",
+    "capsule",
+    "cylinder",
+    "polyhedron",
+    "racket_faces",
+    "solid",
+    "sphere",
+]

@@ -17,6 +17,7 @@ from matplotlib.figure import Figure
 
 from dsim.arrays import rotation
 from dsim.arrays.checks import Array
+from dsim.geometry import box_faces, racket_faces
 from dsim.pictures.style import COLOURS, canvas, label, look, style
 from dsim.rigid import RigidBodies
 from dsim.studies.showcases.racket import Racket
@@ -32,23 +33,13 @@ ABOVE = np.cross(RIGHT, AWAY)
 
 def box(size: Any, at: Any = (0.0, 0.0, 0.0), sides: str = SIDE) -> list[Face]:
     """A box (3,) m: its upper face (+z of the body) blue, its lower one orange, so that a flip is seen."""
-    half, at = 0.5 * np.asarray(size, dtype=float), np.asarray(at, dtype=float)
-    corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
-    faces = []
-    for axis in range(3):
-        for sign in (1.0, -1.0):
-            square = np.insert(corners, axis, sign, axis=1)
-            colour = (UP if sign > 0 else DOWN) if axis == 2 and sides == SIDE else sides
-            faces.append((at + half * square, colour))
-    return faces
+    colours = [sides] * 4 + ([UP, DOWN] if sides == SIDE else [sides] * 2)
+    return list(zip(box_faces(size, at), colours, strict=True))
 
 
 def racket(length: float = 0.68, width: float = 0.26) -> list[Face]:
     """A tennis racket along x, its handle at -x: the head a flat plate, blue above and orange below."""
-    angle = 2 * np.pi * np.arange(24) / 24
-    head = np.stack([0.28 * length * np.cos(angle), 0.5 * width * np.sin(angle), 0 * angle], axis=1)
-    faces = [(head + np.array([0.22 * length, 0.0, z]), colour) for z, colour in ((0.012, UP), (-0.012, DOWN))]
-    return faces + box([0.44 * length, 0.04, 0.03], [-0.28 * length, 0.0, 0.0], GRIP)
+    return list(zip(racket_faces(length, width), [UP, DOWN] + [GRIP] * 6, strict=True))
 
 
 def placed(shape: Sequence[Face], pose: Array) -> list[Face]:
@@ -62,11 +53,12 @@ def draw(axes: Axes, faces: Sequence[Face], shift: Any = (0.0, 0.0)) -> None:
     corners = [points for points, _ in faces]
     order = np.argsort([-(points @ AWAY).mean() for points in corners])
     shown = [np.stack([corners[i] @ RIGHT, corners[i] @ ABOVE], axis=1) + shift for i in order]
-    colours = [_shaded(corners[i], faces[i][1]) for i in order]
+    colours = [shaded(corners[i], faces[i][1]) for i in order]
     axes.add_collection(PolyCollection(shown, facecolors=colours, edgecolors="#1f2328", linewidths=0.5))
 
 
-def _shaded(points: Array, colour: str) -> tuple[float, ...]:
+def shaded(points: Array, colour: str) -> tuple[float, ...]:
+    """The colour of a face with corners (K,3) in the world, darker where it is turned away from the light."""
     across = np.cross(points[1] - points[0], points[2] - points[1])
     lit = abs(across @ LIGHT) / max(float(np.linalg.norm(across)), 1e-300)
     return tuple(1 - (0.45 + 0.55 * lit) * (1 - np.array(to_rgb(colour))))

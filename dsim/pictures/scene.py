@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
-from matplotlib.collections import LineCollection
+from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.colors import LinearSegmentedColormap, Normalize
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from dsim.arrays import rotation
 from dsim.arrays.checks import Array
 from dsim.effects import Actuation, Drag, Springs
+from dsim.pictures.rigid import SIDE, shaded
 from dsim.pictures.style import COLOURS, canvas, label, look, style
+from dsim.rigid import RigidBodies
 from dsim.scenes import Scene
 from dsim.simulation import Trajectory
 from dsim.system import System
@@ -33,6 +37,7 @@ class Film:
 
     places (N+1,points,2) m in the picture's plane, and depth (N+1,points) towards the viewer.  box (2,2): the lower
     and the upper corner of all there is to see, so that every frame has the same axes.  strain (N+1,E), or None.
+    faces: of all bodies, corners (N+1,K,3) m in the world, each with its colour.
     """
 
     scene: Scene
@@ -42,6 +47,7 @@ class Film:
     box: Array
     strain: Array | None
     limit: float  # the |strain| from which on the colour is the strongest
+    faces: tuple[tuple[Array, str], ...] = ()
 
     @property
     def frames(self) -> int:
@@ -52,17 +58,49 @@ def film(scene: Scene, trajectory: Trajectory) -> Film:
     """Project and measure a whole trajectory.  Raises ValueError for a scene in more than three dimensions."""
     if scene.dimension > 3:
         raise ValueError(f"scene must be in 1, 2 or 3 dimensions to be drawn; {scene.name} is in {scene.dimension}")
-    x = trajectory.q.reshape(len(trajectory.t), scene.points, scene.dimension)
+    x = _points(scene, trajectory)
+    faces = tuple(_faces(scene, trajectory))
     places, depth = projected(x)
     marks, _ = projected(np.reshape(scene.marks, (1, -1, scene.dimension)))
-    seen = np.concatenate([places.reshape(-1, 2), marks[0]])
+    corners = [projected(points)[0].reshape(-1, 2) for points, _ in faces]
+    seen = np.concatenate([places.reshape(-1, 2), marks[0], *corners])
     low, high = seen.min(axis=0), seen.max(axis=0)
     motors = any(isinstance(effect, Actuation) for effect in getattr(scene.system, "effects", ()))
     margin = (0.18 if motors else 0.08) * max(*(high - low), 1e-9)  # room for the arrows of the motors
     strain = _strain(scene, x)
     # a spring that is jerked for a moment must not take the colour from all others: the strongest 2 % saturate
     limit = 1e-12 if strain is None or not strain.size else max(1e-12, float(np.quantile(np.abs(strain), 0.98)))
-    return Film(scene, trajectory, places, depth, np.stack([low - margin, high + margin]), strain, limit)
+    return Film(scene, trajectory, places, depth, np.stack([low - margin, high + margin]), strain, limit, faces)
+
+
+def _points(scene: Scene, trajectory: Trajectory) -> Array:
+    """(N+1,points,d) m: of bodies the centres, then the knots."""
+    system = scene.system
+    if not isinstance(system, RigidBodies):
+        return trajectory.q.reshape(len(trajectory.t), scene.points, scene.dimension)
+    frame, (to, at) = system.frame, scene.knots
+    found = []
+    for q in trajectory.q:
+        centres = frame.centres_of(q)
+        turns = frame.turns(q)[to - frame.particles]
+        found.append(np.concatenate([centres, centres[to] + rotation.rotate(turns, at)]))
+    return np.stack(found)
+
+
+def _faces(scene: Scene, trajectory: Trajectory) -> Iterator[tuple[Array, str]]:
+    """The faces of all bodies in the world.  The side that a body turns to +z is blue, that to -z orange."""
+    if not isinstance(scene.system, RigidBodies):
+        return
+    split = 3 * scene.system.frame.particles
+    poses = trajectory.q[:, split:].reshape(len(trajectory.t), -1, 7)
+    for pose, faces in zip(poses.transpose(1, 0, 2), scene.shapes, strict=False):
+        flat = np.argmin(np.ptp(np.concatenate(faces), axis=0))  # the direction in which the body is thinnest
+        for corners in faces:
+            side = np.cross(corners[1] - corners[0], corners[2] - corners[1])
+            across = abs(side[flat]) > 0.9 * np.linalg.norm(side)
+            centre = np.concatenate(faces)[:, flat].mean()
+            colour = SIDE if not across else COLOURS[0] if corners[0, flat] > centre else COLOURS[5]
+            yield pose[:, None, :3] + rotation.rotate(pose[:, None, 3:], corners), colour
 
 
 def projected(x: Array) -> tuple[Array, Array]:
@@ -94,9 +132,11 @@ def draw_frame(axes: Axes, film: Film, n: int) -> None:
     """State n: springs coloured by strain, points, pins, the trail so far, wind and motor forces."""
     places, scene = film.places[n], film.scene
     pinned = list(getattr(scene.system, "fixed", ()))
-    free = np.setdiff1d(np.arange(scene.points), pinned)
+    loose = np.setdiff1d(np.arange(scene.points), pinned)
+    free = loose[: len(loose) - len(scene.shapes)]  # a body with faces needs no dot
     _draw_air(axes, film, n)
-    _draw_trail(axes, film, n, free)
+    _draw_faces(axes, film, n)
+    _draw_trail(axes, film, n, loose)
     if len(scene.edges):
         axes.add_collection(_springs(film, n))
     if scene.points <= 40:
@@ -119,6 +159,18 @@ def draw_frame(axes: Axes, film: Film, n: int) -> None:
     _draw_motors(axes, film, n)
     axes.set(xlim=film.box[:, 0], ylim=film.box[:, 1], aspect="equal")
     axes.set_title(f"t = {film.trajectory.t[n]:.2f} s", fontsize=10, fontweight="normal")
+
+
+def _draw_faces(axes: Axes, film: Film, n: int) -> None:
+    """Bodies, the farthest face first."""
+    if not film.faces:
+        return
+    placed = [(corners[n], colour) for corners, colour in film.faces]
+    flat = [projected(corners) for corners, _ in placed]
+    order = np.argsort([depth.mean() for _, depth in flat], kind="stable")
+    colours = [shaded(*placed[i]) for i in order]
+    polygons = [flat[i][0] for i in order]
+    axes.add_collection(PolyCollection(polygons, facecolors=colours, edgecolors=INK, linewidths=0.5, zorder=2.5))
 
 
 def _springs(film: Film, n: int) -> LineCollection:

@@ -4,6 +4,7 @@ from dsim.scenes.bodies import robot, soft_body
 from dsim.scenes.nets import chain, cloth
 from dsim.scenes.particles import kepler, projectile, river
 from dsim.scenes.pendulum import pendulum_spring, pendulum_stiff, rigid_pendulum_angle
+from dsim.scenes.rigid import racket, sign
 from dsim.scenes.scene import Scene
 
 __all__ = [
@@ -14,8 +15,10 @@ __all__ = [
     "pendulum_spring",
     "pendulum_stiff",
     "projectile",
+    "racket",
     "rigid_pendulum_angle",
     "river",
     "robot",
+    "sign",
     "soft_body",
 ]

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from dsim.arrays.checks import Array, Numbers, as_array, as_count, as_pairs, as_step, check_indices
+from dsim.rigid import RigidBodies
 from dsim.simulation import Trajectory, simulate
 from dsim.steppers.stepper import Stepper
 from dsim.system import Flow, System
@@ -19,7 +22,11 @@ class Scene:
 
     summary: one line.  y0 (2n,) = [q, v], or (n,) for a flow.  h s.  exact: t -> y, where a closed form is known.
     edges (E,2): pairs of points to draw, the springs where there are some.  invariants: name -> (t, y) -> number,
-    which the true motion keeps constant.  marks (K,d): fixed places worth drawing.  Raises ValueError on bad input.
+    which the true motion keeps constant.  marks (K,d): fixed places worth drawing.
+
+    Of rigid bodies, shapes: of each, its faces, corners (K,3) m in its frame; knots: (which centres (M,), where in
+    their frames (M,3)), points on bodies that edges may end at, counted after the centres.  Raises ValueError on bad
+    input.
     """
 
     name: str
@@ -33,11 +40,20 @@ class Scene:
     edges: Numbers = ()
     invariants: Mapping[str, Callable[[float, Array], float]] = field(default_factory=dict)
     marks: Numbers = ()
+    shapes: Sequence[Sequence[Array]] = ()
+    knots: tuple[Any, Any] = ((), ())
 
     def __post_init__(self) -> None:
         edges = as_pairs("edges", self.edges)
-        check_indices("edges", edges, self.points)
+        to, at = _knots(self.knots, self.points)
+        check_indices("edges", edges, self.points + len(to))
+        shapes = tuple(tuple(as_array("shapes", face, (None, 3)) for face in faces) for faces in self.shapes)
+        bodies = self.system.frame.bodies if isinstance(self.system, RigidBodies) else 0
+        if len(shapes) not in (0, bodies):
+            raise ValueError(f"shapes must be one for each of the {bodies} rigid bodies, or none; got {len(shapes)}")
         values = {
+            "shapes": shapes,
+            "knots": (to, at),
             "y0": as_array("y0", self.y0, (self.system.size,)),
             "h": as_step(self.h),
             "steps": as_count("steps", self.steps),
@@ -54,8 +70,8 @@ class Scene:
 
     @property
     def points(self) -> int:
-        """N."""
-        return self.system.n // self.dimension
+        """N; of rigid bodies and what is tied to them, the centres."""
+        return len(self.system.mass) if isinstance(self.system, System) else 1
 
     @property
     def duration(self) -> float:
@@ -65,6 +81,14 @@ class Scene:
     def simulate(self, stepper: Stepper | None = None) -> Trajectory:
         """Run it, with the recommended stepper or another one.  Raises SimulationError like `dsim.simulate`."""
         return simulate(stepper or self.stepper, self.system, self.y0, self.h, self.steps)
+
+
+def _knots(knots: tuple[Any, Any], centres: int) -> tuple[NDArray[np.int64], Array]:
+    at = as_array("knots[1]", np.reshape(knots[1], (-1, 3)))
+    to = np.asarray(knots[0], dtype=np.int64)
+    if to.shape != (len(at),) or np.any((to < 0) | (to >= centres)):
+        raise ValueError(f"knots[0] must be a centre for each of the {len(at)} places; got {to.tolist()}")
+    return to, at
 
 
 def at_rest(x: Array) -> Array:

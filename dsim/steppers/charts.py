@@ -26,7 +26,7 @@ from dsim.rigid import RigidBodies
 from dsim.solve.linear import DENSE_SIZE
 
 if TYPE_CHECKING:
-    from scipy.sparse import csr_array
+    pass
 
 MAPS = ("exponential", "cayley", "lie", "ambient")
 
@@ -194,12 +194,14 @@ class Chart(_Bodies):
     def stage_matrix(self, t: float, place: Any, weights: tuple[float, float]) -> Any:
         """M - b K T - c D; dense where a dense factorization is quicker."""
         system, q, (b, c) = self.system, self.reached(place[0]), weights
-        shaped = (lambda m: m.toarray()) if self.n <= DENSE_SIZE else (lambda m: m)
-        total = shaped(system.mass_matrix)
+        dense = self.n <= DENSE_SIZE
+        total = system.mass_matrix.toarray() if dense else system.mass_matrix
         if b and system.having("dq"):
-            total = total - b * self._held(shaped(system.dq(t, q, place[1])) @ shaped(self._block(place[0])))
+            K = system.dense("dq", t, q, place[1]) if dense else system.dq(t, q, place[1])
+            total = total - b * self._held(K @ self._block(place[0]))
         if c and system.having("dv"):
-            total = total - c * self._held(shaped(system.dv(t, q, place[1])))
+            D = system.dense("dv", t, q, place[1]) if dense else system.dv(t, q, place[1])
+            total = total - c * self._held(D)
         return total
 
     def _held(self, matrix: Any) -> Any:
@@ -213,12 +215,16 @@ class Chart(_Bodies):
             else diagonal(free) @ matrix @ diagonal(free)
         )
 
-    def _block(self, xi: Array) -> csr_array:
+    def _block(self, xi: Array) -> Any:
         """T, block-diagonal (n,n)."""
-        from scipy.sparse import csr_array
-
         frame = self.frame
         blocks, spins = self._tangent(frame.spins(xi)), frame.spin_dofs
+        if self.n <= DENSE_SIZE:
+            T = np.eye(self.n)
+            T[spins[:, :, None], spins[:, None, :]] = blocks
+            return T
+        from scipy.sparse import csr_array
+
         rows, columns = (np.broadcast_to(p, blocks.shape).ravel() for p in (spins[:, :, None], spins[:, None, :]))
         ones = frame.centre_dofs.ravel()
         entries = np.concatenate([np.ones(len(ones)), blocks.ravel()])

@@ -31,8 +31,7 @@ def pay_back(scene: Any, rounds: int = 5) -> tuple[PayBack, ...]:
     moved = max(float(np.abs(whole.q - whole.q[0]).max()), 1e-300)
     rows = []
     for effect in scene.system.effects:
-        others = tuple(e for e in scene.system.effects if e is not effect)
-        without = System(scene.system.mass, others, scene.system.dimension, scene.system.fixed)
+        without = scene.system.without(effect.name)
         run = _run(scene, without)
         failed = run.status is not Status.CONVERGED
         change = np.inf if failed else float(np.abs(run.q[-1] - whole.q[-1]).max()) / moved
