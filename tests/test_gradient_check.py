@@ -399,3 +399,19 @@ def test_what_round_off_hides_is_not_called_right():
     assert check_gradient(lambda z: 1e8 + 1e-4 * np.sin(z).sum(), x, np.zeros(2)).verdict == "noise"
     report = check_gradient(lambda z: 1e12 * z[0] ** 2 + z[1], x, [0.6e12, 1.0])
     assert report.ok and "1 entries are too small" in report.note
+
+
+@pytest.mark.parametrize("ulps", [1, 2])
+def test_a_last_digit_that_is_always_off_is_no_vertical_tangent(ulps):
+    """(f(x+h) - f(x))/h of a value whose last digit differs at every step grows like 1/h as well."""
+    base, slope = -0.144053045, 2.1e-11
+
+    def f(x):
+        moved = x[0] - 60.0
+        value = base + slope * moved
+        return value if abs(moved) > 1e-6 or moved == 0 else base + ulps * np.spacing(base) * np.sign(-moved)
+
+    report = check_gradient(f, np.array([60.0]), np.array([slope]))
+    assert report.verdict == "smooth", report
+    steep = check_gradient(lambda x: base + 1e-9 * np.sqrt(np.abs(x[0])), np.array([0.0]), np.array([0.0]))
+    assert steep.verdict == "kink", steep

@@ -502,10 +502,13 @@ def _is_staircase(sweep: _Sweep, row: int) -> bool:
 
 
 def _diverges(sweep: _Sweep, row: int) -> bool:
-    """One-sided differences that keep growing, steadily, as the step falls: a vertical tangent."""
-    for differences in (np.abs(sweep.left[row]), np.abs(sweep.right[row])):
-        tail = differences[-6:]
-        if np.isfinite(tail).all() and (tail > 0).all():
+    """One-sided differences that keep growing, steadily, as the step falls: a vertical tangent.
+
+    Not where the values differ by their round-off alone, the same at every step: that grows in the same way.
+    """
+    for differences, steps in ((sweep.left[row], sweep.h_behind[row]), (sweep.right[row], sweep.h_ahead[row])):
+        tail = np.abs(differences[-6:])
+        if np.isfinite(tail).all() and (tail * steps[-6:] > 8 * sweep.rounding[row, -1]).all():
             growth = tail[1:] / tail[:-1]
             if (growth > 1.2).all() and np.ptp(growth) < 0.2 * growth.mean():
                 return True
