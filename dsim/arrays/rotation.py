@@ -41,7 +41,8 @@ def conjugate(q: Array) -> Array:
 
 def _room(a: Array, b: Array) -> Array:
     """Room for a result, laid out as a is: where components are contiguous rows (3,B).T they stay so."""
-    return np.empty_like(a, dtype=float, shape=np.broadcast_shapes(a.shape, b.shape))
+    shape = a.shape if a.shape == b.shape else np.broadcast_shapes(a.shape, b.shape)
+    return np.empty_like(a, dtype=float, shape=shape)
 
 
 def cross(a: Array, b: Array) -> Array:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from dsim.arrays.checks import Array, Numbers, as_array
 from dsim.arrays.frozen import replace
-from dsim.arrays.rotation import conjugate, cross, rotate, skew, to_matrix
+from dsim.arrays.rotation import cross, skew, to_matrix
 from dsim.effects.bodies import BodyLayout, Poses
 from dsim.effects.rows import has_rows, products
 
@@ -88,6 +88,17 @@ class Markers:
         self.arms = np.flatnonzero(self.at.any(axis=1))  # those off their body's centre
         self.bodies = self.to[self.arms] - layout.particles
         self.offsets = self.at[self.arms]
+        self._dofs, self._spins = layout.centre_dofs[self.to].ravel(), layout.spin_dofs[self.bodies]
+        self._across = skew(self.offsets)  # [p]x
+        self._kept: tuple[bytes, Array, Array] | None = None
+
+    def _frames(self, q: Array) -> tuple[Array, Array]:
+        """R and -R [p]x (A,3,3) at the arms, kept for the last q: a step asks many times about the same place."""
+        key = q.tobytes()
+        if self._kept is None or self._kept[0] != key:
+            R = to_matrix(self.layout.turns(q)[self.bodies])
+            self._kept = key, R, -R @ self._across
+        return self._kept[1:]
 
     def places(self, q: Array) -> Array:
         """x (M,3) m."""
@@ -95,7 +106,7 @@ class Markers:
         if self.centred:
             return centres
         x = centres[self.to]
-        x[self.arms] += rotate(self.layout.turns(q)[self.bodies], self.offsets)
+        x[self.arms] += _each(self._frames(q)[0], self.offsets)
         return x
 
     def velocities(self, q: Array, v: Array) -> Array:
@@ -104,26 +115,23 @@ class Markers:
         if self.centred:
             return velocities
         out = velocities[self.to]
-        turning = cross(self.layout.spins(v)[self.bodies], self.offsets)
-        out[self.arms] += rotate(self.layout.turns(q)[self.bodies], turning)
+        out[self.arms] += _each(self._frames(q)[1], self.layout.spins(v)[self.bodies])
         return out
 
     def push(self, q: Array, forces: Array) -> Array:
         """J^T f (n,)."""
         if self.centred:
             return self.layout.on_centres(forces)
-        dofs, n = self.layout.centre_dofs[self.to], self.layout.n
-        out = np.bincount(dofs.ravel(), forces.ravel(), n)
-        return out + self.twist(cross(self.offsets, self.local(q, forces)))
+        out = np.bincount(self._dofs, forces.ravel(), self.layout.n)
+        return out + self.twist(_each(self._frames(q)[1].swapaxes(1, 2), forces[self.arms]))
 
     def local(self, q: Array, forces: Array) -> Array:
         """R^T f (A,3) of the points with an arm."""
-        return rotate(conjugate(self.layout.turns(q)[self.bodies]), forces[self.arms])
+        return _each(self._frames(q)[0].swapaxes(1, 2), forces[self.arms])
 
     def twist(self, torques: Array) -> Array:
         """Torques (A,3) at the arms, in the body frame, as a generalized force (n,)."""
-        dofs = self.layout.spin_dofs[self.bodies]
-        total: Any = np.bincount(dofs.ravel(), np.ascontiguousarray(torques).ravel(), self.layout.n)
+        total: Any = np.bincount(self._spins.ravel(), np.ascontiguousarray(torques).ravel(), self.layout.n)
         return np.asarray(total)
 
     @property
@@ -133,29 +141,29 @@ class Markers:
 
     def jacobian(self, q: Array, arms: Array | None = None) -> Any:
         """J (3M,n), CSR unless `few`.  With arms (A,3) in place of the offsets, only what turns move: -R [arm]x."""
-        turned = -to_matrix(self.layout.turns(q)[self.bodies]) @ skew(self.offsets if arms is None else arms)
+        R, turned = self._frames(q)
+        if arms is not None:
+            turned = -R @ skew(arms)
         if self.few:
             J = np.zeros((3 * len(self.to), self.layout.n))
             if arms is None:
-                J[np.arange(len(J)), self.layout.centre_dofs[self.to].ravel()] = 1.0
+                J[np.arange(len(J)), self._dofs] = 1.0
             lines = 3 * self.arms[:, None, None] + np.arange(3)[:, None]
-            J[lines, self.layout.spin_dofs[self.bodies][:, None, :]] = turned
+            J[lines, self._spins[:, None, :]] = turned
             return J
         from scipy.sparse import csr_array
 
         rows = np.broadcast_to(3 * self.arms[:, None, None] + np.arange(3)[:, None], turned.shape)
-        columns = np.broadcast_to(self.layout.spin_dofs[self.bodies][:, None, :], turned.shape)
+        columns = np.broadcast_to(self._spins[:, None, :], turned.shape)
         entries, r, c = turned.ravel(), rows.ravel(), columns.ravel()
         if arms is None:
-            dofs = self.layout.centre_dofs[self.to].ravel()
-            entries = np.concatenate([np.ones(len(dofs)), entries])
-            r, c = np.concatenate([np.arange(len(dofs)), r]), np.concatenate([dofs, c])
+            entries = np.concatenate([np.ones(len(self._dofs)), entries])
+            r, c = np.concatenate([np.arange(len(self._dofs)), r]), np.concatenate([self._dofs, c])
         return csr_array((entries, (r, c)), shape=(3 * len(self.to), self.layout.n))
 
     def turning(self, q: Array, forces: Array) -> Any:
         """d(J^T f)/dq at fixed f, (n,n), CSR unless `few`: [p]x [R^T f]x at every arm."""
-        blocks = skew(self.offsets) @ skew(self.local(q, forces))
-        places = self.layout.spin_dofs[self.bodies]
+        blocks, places = self._across @ skew(self.local(q, forces)), self._spins
         if self.few:
             total = np.zeros((self.layout.n, self.layout.n))
             np.add.at(total, (places[:, :, None], places[:, None, :]), blocks)  # several arms on one body add up
@@ -165,6 +173,11 @@ class Markers:
         rows, columns = (np.broadcast_to(p, blocks.shape) for p in (places[:, :, None], places[:, None, :]))
         n = self.layout.n
         return csr_array((blocks.ravel(), (rows.ravel(), columns.ravel())), shape=(n, n))
+
+
+def _each(matrices: Array, vectors: Array) -> Array:
+    """Matrix (A,3,3) times vector (A,3), each."""
+    return np.asarray(np.einsum("aij,aj->ai", matrices, vectors))
 
 
 @dataclass(frozen=True, eq=False)

@@ -29,9 +29,9 @@ def objective(scene: Any, steps: int, seed: int = 0) -> Callable[[Array], tuple[
     weights = rng.normal(size=(steps + 1, system.size)) / np.sqrt(steps * system.size)
     parts = system.split(np.arange(system.parameter_count))
     directions = np.zeros((2, system.size))
-    directions[0, : system.n] = 0.01 * rng.normal(size=system.n)
+    directions[0, : system.width] = 0.01 * rng.normal(size=system.width)
     if system.components == 2:
-        directions[1, system.n :] = 0.01 * rng.normal(size=system.n)
+        directions[1, system.width :] = 0.01 * rng.normal(size=system.n)
 
     def evaluate(z: Array) -> tuple[float, Array]:
         theta = system.theta.copy()

@@ -89,7 +89,7 @@ class Sight:
     def _by_state(self, q: Array) -> Array:
         """d marks/dy (12,13): by small turns, and those by the numbers of the state."""
         frame, out = self.system.frame, np.zeros((MARKS.size, self.system.size))
-        by_turn = self._markers.jacobian(q).toarray()
+        by_turn = self._markers.jacobian(q)
         for row, bar in enumerate(by_turn):
             out[row, : self.system.width] = frame.small_turn_vjp(q, bar)
         return out
