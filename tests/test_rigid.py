@@ -37,6 +37,24 @@ def test_body_effect_derivatives(name):
     assert len(checks) >= 4 and not failures(checks)
 
 
+@pytest.mark.parametrize("name", EXAMPLES)
+def test_matrices_of_many_bodies_are_those_of_few(name, monkeypatch):
+    """Arrays up to so many numbers, sparse above: the same derivatives by both."""
+    from scipy.sparse import issparse
+
+    example, rng = EXAMPLES[name], np.random.default_rng(4)
+    made = example.make(rng, 3)
+    system, y = generic_bodies(() if made is None else (made,), rng)
+    few = [system.dq(0.03, *system.blocks(y)).toarray(), system.dv(0.03, *system.blocks(y)).toarray()]
+    for module in ("bodies", "at_points"):
+        monkeypatch.setattr(f"dsim.effects.{module}.FEW", 0)
+    assert not failures(check_body_effect(example, seed=3))
+    many = [getattr(e, c)(0.03, *system.blocks(y)) for c in ("dq", "dv") for e in system.having(c)]
+    assert all(issparse(matrix) for matrix in many)
+    assert np.allclose(few[0], system.dq(0.03, *system.blocks(y)).toarray(), rtol=1e-13, atol=1e-13)
+    assert np.allclose(few[1], system.dv(0.03, *system.blocks(y)).toarray(), rtol=1e-13, atol=1e-13)
+
+
 @pytest.mark.parametrize("name", NAMES)
 def test_stepper_linearization_on_bodies(name):
     checks = check_stepper(NAMES[name], tied_bodies(), seed=1)
@@ -71,8 +89,8 @@ def test_a_dropped_turn_is_red(name, monkeypatch):
     from dsim.effects.at_points import Markers
 
     monkeypatch.setattr(Markers, "turning", lambda self, q, f: 0 * self.jacobian(q).T @ self.jacobian(q))
-    right = TorqueActuation.dq
-    monkeypatch.setattr(TorqueActuation, "dq", lambda self, t, q, v: 0 * right(self, t, q, v))
+    right = TorqueActuation._dq
+    monkeypatch.setattr(TorqueActuation, "_dq", lambda self, t, q, v: 0 * right(self, t, q, v))
     assert "dq of the force" in " ".join(failures(check_body_effect(EXAMPLES[name])))
 
 

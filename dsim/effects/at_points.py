@@ -16,13 +16,12 @@ from numpy.typing import NDArray
 from dsim.arrays.checks import Array, Numbers, as_array
 from dsim.arrays.frozen import replace
 from dsim.arrays.rotation import cross, skew, to_matrix
-from dsim.effects.bodies import BodyLayout, Poses
+from dsim.effects.bodies import FEW, BodyLayout, Poses
 from dsim.effects.rows import has_rows, products
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
-FEW = 20_000  # numbers of J
 OPTIONAL = (
     "energy",
     "dtheta",
@@ -136,7 +135,7 @@ class Markers:
 
     @property
     def few(self) -> bool:
-        """Whether J is made as an array: below some thousand numbers a sparse product costs more than a dense one."""
+        """Whether J is an array."""
         return 3 * len(self.to) * self.layout.n <= FEW
 
     def jacobian(self, q: Array, arms: Array | None = None) -> Any:
@@ -162,17 +161,8 @@ class Markers:
         return csr_array((entries, (r, c)), shape=(3 * len(self.to), self.layout.n))
 
     def turning(self, q: Array, forces: Array) -> Any:
-        """d(J^T f)/dq at fixed f, (n,n), CSR unless `few`: [p]x [R^T f]x at every arm."""
-        blocks, places = self._across @ skew(self.local(q, forces)), self._spins
-        if self.few:
-            total = np.zeros((self.layout.n, self.layout.n))
-            np.add.at(total, (places[:, :, None], places[:, None, :]), blocks)  # several arms on one body add up
-            return total
-        from scipy.sparse import csr_array
-
-        rows, columns = (np.broadcast_to(p, blocks.shape) for p in (places[:, :, None], places[:, None, :]))
-        n = self.layout.n
-        return csr_array((blocks.ravel(), (rows.ravel(), columns.ravel())), shape=(n, n))
+        """d(J^T f)/dq at fixed f, (n,n): [p]x [R^T f]x at every arm."""
+        return self.layout.by_turns(self._spins, self._across @ skew(self.local(q, forces)))
 
 
 def _each(matrices: Array, vectors: Array) -> Array:

@@ -11,13 +11,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dsim.arrays.checks import Array
 from dsim.arrays.rotation import conjugate, product
+
+FEW = 20_000  # numbers up to which matrices are arrays
 
 
 class Poses(Protocol):
@@ -123,6 +125,21 @@ class BodyLayout:
     def spin_dofs(self) -> NDArray[np.int64]:
         """(B,3): the places in v of each angular velocity."""
         return np.asarray(3 * self.particles + 6 * np.arange(self.bodies)[self.chosen, None] + np.arange(3, 6))
+
+    def by_turns(self, places: NDArray[np.int64], blocks: Array) -> Any:
+        """Blocks (K,3,3) at places (K,3) of v, on the diagonal of a matrix (n,n), summed where places are the same.
+
+        An array where n is small, else CSR: below some thousand numbers a sparse matrix costs more than its sums.
+        """
+        rows, columns = places[:, :, None], places[:, None, :]
+        if self.n**2 <= FEW:
+            total = np.zeros((self.n, self.n))
+            np.add.at(total, (rows, columns), blocks)
+            return total
+        from scipy.sparse import csr_array
+
+        where = tuple(np.broadcast_to(place, blocks.shape).ravel() for place in (rows, columns))
+        return csr_array((blocks.ravel(), where), shape=(self.n, self.n))
 
     def small_turn(self, q: Array, dq: Array) -> Array:
         """The change (n,) of place that dq (width,) is: turns in the body frame, 2 vec(q* (x) dq), for any |q|."""

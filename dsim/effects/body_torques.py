@@ -43,13 +43,11 @@ class AngularDrag:
         self._spins(out)[:] = -(self.coefficient * self._spins(v).T).T
         return out
 
-    def dv(self, t: float, q: Array, v: Array) -> csr_array:
-        from scipy.sparse import csr_array
-
+    def dv(self, t: float, q: Array, v: Array) -> Any:
         assert self.layout is not None
-        places, n = self.layout.spin_dofs, self.layout.n
-        values = np.broadcast_to(-np.reshape(self.coefficient, (-1, 1)), places.shape)
-        return csr_array((values.ravel(), (places.ravel(), places.ravel())), shape=(n, n))
+        places = self.layout.spin_dofs
+        drags = np.broadcast_to(self.coefficient, len(places))
+        return self.layout.by_turns(places, -drags[:, None, None] * np.eye(3))
 
     def dtheta(self, t: float, q: Array, v: Array) -> csr_array:
         from scipy.sparse import csr_array
@@ -115,16 +113,14 @@ class TorqueActuation:
         self.layout.spins(out)[:] = self._torque(t, q)
         return out
 
-    def dq(self, t: float, q: Array, v: Array) -> csr_array:
-        """R^T tau changes with a turn of the body by (R^T tau) x delta."""
-        from scipy.sparse import csr_array
+    @property
+    def dq(self) -> Any:
+        """R^T tau changes with a turn of the body by (R^T tau) x delta; motors that turn with it do not notice."""
+        return self._dq if self.frame == "world" else None
 
+    def _dq(self, t: float, q: Array, v: Array) -> Any:
         assert self.layout is not None
-        n, places = self.layout.n, self.layout.spin_dofs
-        if self.frame == "body":
-            return csr_array((n, n))
-        rows, columns = (np.broadcast_to(p, (len(places), 3, 3)) for p in (places[:, :, None], places[:, None, :]))
-        return csr_array((skew(self._torque(t, q)).ravel(), (rows.ravel(), columns.ravel())), shape=(n, n))
+        return self.layout.by_turns(self.layout.spin_dofs, skew(self._torque(t, q)))
 
     def dtheta(self, t: float, q: Array, v: Array) -> csr_array:
         from scipy.sparse import csr_array

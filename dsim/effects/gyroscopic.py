@@ -6,7 +6,6 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dsim.arrays.checks import Array
 from dsim.arrays.rotation import cross, skew
@@ -97,18 +96,11 @@ class Gyroscopic:
     def rows(self) -> GyroscopicRows:
         return GyroscopicRows(self.inertia, self.acting)
 
-    def dv(self, t: float, q: Array, v: Array) -> csr_array:
+    def dv(self, t: float, q: Array, v: Array) -> Any:
         """[I omega]x - [omega]x I."""
         w = self.layout.spins(v)
-        return self._placed(skew(angular_momentum(self.inertia, w)) - skew(w) @ tensors(self.inertia), self.acting)
-
-    def _placed(self, blocks: Array, bodies: NDArray[np.int64] | slice) -> csr_array:
-        from scipy.sparse import csr_array
-
-        places, n = self.layout.spin_dofs[bodies], self.layout.n
-        rows = np.broadcast_to(places[:, :, None], (len(places), 3, 3)).ravel()
-        columns = np.broadcast_to(places[:, None, :], (len(places), 3, 3)).ravel()
-        return csr_array((blocks[bodies].ravel(), (rows, columns)), shape=(n, n))
+        blocks = skew(angular_momentum(self.inertia, w)) - skew(w) @ tensors(self.inertia)
+        return self.layout.by_turns(self.layout.spin_dofs[self.acting], blocks[self.acting])
 
     def dtheta(self, t: float, q: Array, v: Array) -> csr_array:
         from scipy.sparse import csr_array
