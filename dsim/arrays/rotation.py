@@ -66,10 +66,20 @@ def product(p: Array, q: Array) -> Array:
     out = _room(p, q)
     pw, px, py, pz = (p[..., i] for i in range(4))
     qw, qx, qy, qz = (q[..., i] for i in range(4))
-    out[..., 0] = pw * qw - px * qx - py * qy - pz * qz
-    out[..., 1] = pw * qx + px * qw + py * qz - pz * qy
-    out[..., 2] = pw * qy - px * qz + py * qw + pz * qx
-    out[..., 3] = pw * qz + px * qy - py * qx + pz * qw
+    np.multiply(p, qw[..., None], out=out)
+    w, x, y, z = (out[..., i] for i in range(4))
+    w -= px * qx
+    w -= py * qy
+    w -= pz * qz
+    x += pw * qx
+    x += py * qz
+    x -= pz * qy
+    y += pw * qy
+    y += pz * qx
+    y -= px * qz
+    z += pw * qz
+    z += px * qy
+    z -= py * qx
     return out
 
 

@@ -45,6 +45,8 @@ class BodyRun:
     def __init__(self, stepper: Any, system: RigidBodies, h: float) -> None:
         self.stepper, self.h, self.bodies = stepper, h, system.frame.bodies
         self._map = getattr(rotation, stepper.rotation)
+        self._still = np.zeros((6, self.bodies))
+        self._still.setflags(write=False)
         self._constant = np.zeros((6, self.bodies))  # forces that are the same anywhere, summed once
         self._forces: list[BodyRows] = []  # the others
         for effect in system.effects:
@@ -59,25 +61,24 @@ class BodyRun:
     def evaluate(self, y0: Array, steps: int) -> tuple[Array, int]:
         """(states (K+1,13B), rates asked for): of the steps that stayed finite, K = steps unless one did not."""
         split, self._evaluations = 7 * self.bodies, 0
-        poses, twists = np.empty((steps + 1, 7, self.bodies)), np.empty((steps + 1, 6, self.bodies))
-        poses[0], twists[0] = y0[:split].reshape(-1, 7).T, y0[split:].reshape(-1, 6).T
-        poses[0, 3:] = rotation.normalised(poses[0, 3:].T).T
-        zeros, done = np.zeros(split), 0
-        while done < steps:
-            self._advance(done * self.h, (poses[done], twists[done]), (poses[done + 1], twists[done + 1]))
-            q, v = poses[done + 1].reshape(-1), twists[done + 1].reshape(-1)
-            if q @ zeros != 0.0 or v @ zeros[: len(v)] != 0.0:  # 0 times what is not finite is NaN
-                break
-            done += 1
-        y = np.empty((done + 1, len(y0)))
-        y[:, :split].reshape(-1, self.bodies, 7)[:] = poses[: done + 1].transpose(0, 2, 1)
-        y[:, split:].reshape(-1, self.bodies, 6)[:] = twists[: done + 1].transpose(0, 2, 1)
+        y = np.empty((steps + 1, len(y0)))
         y[0] = y0
-        return y, self._evaluations
+        now, new = (tuple(np.empty((rows, self.bodies)) for rows in (7, 6)) for _ in range(2))
+        now[0][:], now[1][:] = y0[:split].reshape(-1, 7).T, y0[split:].reshape(-1, 6).T
+        now[0][3:] = rotation.normalised(now[0][3:].T).T
+        zeros, done = np.zeros(len(y0)), 0
+        while done < steps:
+            self._advance(done * self.h, now, new)
+            row = y[done + 1]
+            row[:split].reshape(-1, 7).T[:], row[split:].reshape(-1, 6).T[:] = new
+            if row @ zeros != 0.0:  # 0 times what is not finite is NaN
+                break
+            now, new, done = new, now, done + 1
+        return y[: done + 1], self._evaluations
 
-    def _advance(self, t: float, state: tuple[Array, Array], new: tuple[Array, Array]) -> None:
+    def _advance(self, t: float, state: tuple[Array, ...], new: tuple[Array, ...]) -> None:
         start, v = state
-        still = np.zeros_like(v)
+        still = self._still
 
         def rate(t: float, xi: Array, v: Array) -> Array:
             return self._rate(t, Place(self, start, xi), v)
@@ -93,7 +94,8 @@ class BodyRun:
         """q0 (x) map(xi) on rows."""
         out = np.empty_like(start) if out is None else out
         np.add(start[:3], xi[:3], out=out[:3])
-        out[3:] = rotation.normalised(rotation.product(start[3:].T, self._map(xi[3:].T))).T
+        turned = rotation.product(start[3:].T, self._map(xi[3:].T)).T
+        np.divide(turned, np.sqrt(np.einsum("ib,ib->b", turned, turned)), out=out[3:])
         return out
 
     def _rate(self, t: float, place: Place, v: Array) -> Array:
