@@ -59,7 +59,9 @@ def order_problems():
     return {problem.name: problem for problem in (build() for build in catalog.ORDER_PROBLEMS)}
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize(
+    "name", [pytest.param(n, marks=pytest.mark.slow) if getattr(s, "implicit", False) else n for n, s in NAMES.items()]
+)
 def test_observed_order(name, order_problems):
     for problem in order_problems.values():
         if NAMES[name].form <= problem.system.components:

@@ -24,6 +24,7 @@ ASSIGNMENT = folder.find("01", Path(__file__).parents[1] / "assignments")
 MOST = 16.0
 
 
+@pytest.mark.slow
 def test_a_killed_command_goes_on_where_it_was(tmp_path: Path) -> None:
     """SIGKILL in the middle of a class: results that were there stay as they were, the rest comes, nothing is left."""
     class_of_1000.write_class(ASSIGNMENT, 12, tmp_path / "in", shares={"right": 1.0})

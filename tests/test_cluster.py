@@ -105,6 +105,7 @@ def files(to: Path) -> dict[str, bytes]:
     return {str(path.relative_to(to)): path.read_bytes() for path in sorted(to.rglob("*")) if path.is_file()}
 
 
+@pytest.mark.slow
 @needs_bubblewrap
 def test_a_worker_that_is_killed_loses_nothing(tmp_path: Path) -> None:
     """The same files as from a run on this machine, each submission told once; the secret is the client's."""

@@ -56,7 +56,7 @@ BOUNDS = {
 }
 
 
-@pytest.mark.parametrize("number", CASES)
+@pytest.mark.parametrize("number", [pytest.param(n, marks=pytest.mark.slow) if n in (10, 12) else n for n in CASES])
 def test_the_naive_method_fails_and_the_survivor_survives(number):
     result = CASES[number].run()
     assert BOUNDS.get(number, set()) <= {check.bound for check in result.checks}
@@ -308,7 +308,7 @@ class Exponential(ImplicitMidpoint):
     [
         (10, SymplecticEuler(), "drift of |L|^2"),
         (11, Exponential(), None),
-        (12, RK4(), None),
+        pytest.param(12, RK4(), None, marks=pytest.mark.slow),
         (12, SymplecticEuler(), "drift of the tilt in 20 s (rad)"),
         (13, NormalisedEuler(), "angle lost (rad)"),
     ],

@@ -71,14 +71,14 @@ def test_the_stiff_pendulum_swings_like_a_rigid_one():
 
 def test_a_small_twist_of_the_sign_is_a_bifilar_pendulum():
     """w = b sqrt(m g / (I L)): b half the distance of the chains, L their length, I about the vertical."""
-    scene = scenes.sign(twist=0.02, links=1, stiffness=1e6, wind=0.0, h=0.005, steps=200)
+    scene = scenes.sign(twist=0.02, links=1, stiffness=1e5, wind=0.0, h=0.01, steps=70)
     run, system = scene.simulate(), scene.system
     turned = 2 * np.array([system.frame.turns(q)[0, 3] for q in run.q])  # about the vertical, rad
     w = 0.3 * np.sqrt(1.5 * 9.81 / (system.inertia[0, 2] * 0.5))
     crossings = run.t[1:][turned[1:] * turned[:-1] < 0]
-    assert len(crossings) == 2 and np.diff(crossings) == pytest.approx(np.pi / w, abs=0.011)  # twice h
-    still = scenes.sign(twist=0.0, wind=0.0, stiffness=1e6).simulate()
-    assert np.abs(still.q - still.q[0]).max() < 1e-4
+    assert len(crossings) == 2 and np.diff(crossings) == pytest.approx(np.pi / w, abs=0.021)  # twice h
+    still = scenes.sign(twist=0.0, wind=0.0, stiffness=1e5, steps=20).simulate()
+    assert np.abs(still.q - still.q[0]).max() < 1e-3
 
 
 def test_the_sign_says_how_far_it_can_be_twisted():

@@ -44,22 +44,21 @@ REACHED = {
 }
 
 
-@pytest.mark.parametrize("row", catalog.SHOWCASES, ids=lambda row: row.name)
-def test_a_showcase_succeeds_and_is_drawn(row: Showcase) -> None:
+# Here the quick ones alone: `dsim verify` runs every row in its quick form.
+IN_FULL = [pytest.param(row, False, marks=pytest.mark.slow) for row in catalog.SHOWCASES]
+QUICK = [pytest.param(row, True) for row in catalog.SHOWCASES if row.name in ("targeting", "identification")]
+
+
+@pytest.mark.parametrize(("row", "quick"), QUICK + IN_FULL, ids=lambda value: getattr(value, "name", str(value)))
+def test_a_showcase_succeeds_and_is_drawn(row: Showcase, quick: bool) -> None:
     told: list[tuple[int, int, str]] = []
-    result = row.run(True, lambda *state: told.append(state))
+    result = row.run(quick, lambda *state: told.append(state))
     assert result.checks() and not red(result.checks())
     assert REACHED.get(row.name, set()) <= {(check.statement, check.bound) for check in result.checks()}
     assert result.optimisation.value < result.optimisation.values[0] and result.optimisation.evaluations > 1
     assert told and all(0 <= done <= total and text for done, total, text in told)
     assert to_png(row.draw(result), dpi=30).startswith(b"\x89PNG")
     assert len(convergence(result.optimisation, row.name).axes) == 2
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("row", catalog.SHOWCASES, ids=lambda row: row.name)
-def test_in_full(row: Showcase) -> None:
-    assert not red(row.run(False, None).checks())
 
 
 def test_the_rows() -> None:

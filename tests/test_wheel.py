@@ -65,6 +65,7 @@ def test_the_source_archive_gives_the_same_wheel(wheel: Path, tmp_path: Path) ->
     assert set(zipfile.ZipFile(again).namelist()) == set(zipfile.ZipFile(wheel).namelist())
 
 
+@pytest.mark.slow
 def test_a_student_and_an_instructor_with_the_wheel_alone(installed: Path, tmp_path: Path) -> None:
     """From an empty directory: list, release, check a submission inside the released folder, grade."""
 
