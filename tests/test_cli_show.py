@@ -112,3 +112,12 @@ def test_steppers_are_found_by_any_spelling():
 def test_real_time_where_it_fits():
     run = scenes.river().simulate()
     assert 2500 <= animation.milliseconds(run) * len(animation.chosen(run)) <= 5300
+
+
+def test_steppers_of_bodies_have_names_too(tmp_path):
+    result = CliRunner().invoke(
+        app, ["show", "racket", "--stepper", "rkmk4", "--steps", "5", "--to", str(tmp_path / "a.png")]
+    )
+    assert result.exit_code == 0 and (tmp_path / "a.png").exists()
+    refused = CliRunner().invoke(app, ["show", "racket", "--stepper", "bdf2", "--to", str(tmp_path / "b.png")])
+    assert "looks back over two states" in str(refused.exception) and not (tmp_path / "b.png").exists()

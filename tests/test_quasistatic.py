@@ -478,3 +478,9 @@ def test_an_imbalance_above_round_off_counts():
     q = np.array([0.0, 0.0, 0.0, -1.4])
     assert problem.imbalance(q, np.full(4, 1e-15)) == 0.0  # of the 40 N that act on the hook
     assert problem.imbalance(q, np.full(4, 2e-10)) == pytest.approx(2e-10 / 40)
+
+
+def test_rigid_bodies_are_refused():
+    scene = scenes.sign()
+    with pytest.raises(ValueError, match="system must be one of points"):
+        quasistatic(scene.system, scene.y0[: scene.system.width])

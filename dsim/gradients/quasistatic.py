@@ -117,6 +117,11 @@ def record(
     """`quasistatic`, but a search that fails is returned with its status instead of raising."""
     if not isinstance(system, System):
         raise ValueError(f"system must be a second-order System, whose forces balance; got {system!r:.60}")
+    if system.curved:
+        raise ValueError(
+            "system must be one of points: the search adds positions, and those of rigid bodies do not add; let drag "
+            "bring the bodies to rest, with BackwardEuler and long steps"
+        )
     q = as_array("q0", q0, (system.n,))
     t, tol = float(as_array("t", t, ())), float(as_positive("tol", tol, ()))
     budget, kicks = as_count("max_iterations", max_iterations, least=1), as_count("kicks", kicks)

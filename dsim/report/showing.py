@@ -45,8 +45,8 @@ def prepared(name: str, stepper: str = "", h: float | None = None, steps: int | 
 
 
 def _stepper(name: str) -> RuleStepper:
-    known = {type(stepper).__name__.lower(): stepper for stepper in catalog.STEPPERS}
-    names = [type(stepper).__name__ for stepper in catalog.STEPPERS]
+    known = {type(stepper).__name__.lower(): stepper for stepper in (*catalog.STEPPERS, *catalog.BODY_STEPPERS)}
+    names = [type(stepper).__name__ for stepper in known.values()]
     plain = name.replace("_", "").replace("-", "").lower()
     return known[plain] if plain in known else known[_meant("--stepper", name, names).lower()]
 
