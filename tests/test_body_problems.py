@@ -103,7 +103,11 @@ ORDERS = {"ForwardEuler": 1, "SymplecticEuler": 1, "NormalisedEuler": 1, "Backwa
           "Trapezoidal": 2, "VelocityVerlet": 2, "RK4": 4, "RKMK4": 4}  # fmt: skip
 
 
-@pytest.mark.parametrize("stepper", catalog.BODY_STEPPERS, ids=lambda s: type(s).__name__)
+QUICK = ("SymplecticEuler", "ImplicitMidpoint", "RKMK4")
+BY_SPEED = [pytest.param(s, marks=[] if type(s).__name__ in QUICK else pytest.mark.slow) for s in catalog.BODY_STEPPERS]
+
+
+@pytest.mark.parametrize("stepper", BY_SPEED, ids=lambda s: type(s).__name__)
 def test_orders_of_states_and_gradients(stepper):
     order = ORDERS[type(stepper).__name__]
     coarse, fine = (measure(free_top(), stepper, n) for n in {1: (64, 128), 2: (32, 64), 4: (128, 256)}[order])

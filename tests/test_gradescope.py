@@ -243,7 +243,9 @@ def weaker(tmp_path_factory: pytest.TempPathFactory, python: Path) -> Container:
 
 
 @needs_root
-@pytest.mark.parametrize("name", ATTACKS)
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=[pytest.mark.slow] if i % 3 else []) for i, name in enumerate(ATTACKS)]
+)
 def test_an_attack_on_the_weaker_isolation(name: str, weaker: Container) -> None:
     """Each gets what it earned, the weaker isolation is told in the result, nothing is left running."""
     source, score, why = ATTACKS[name]

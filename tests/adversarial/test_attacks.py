@@ -316,7 +316,11 @@ def graded(source: str | bytes, tmp_path: Path, name: str = "me.py") -> dict[str
     return found
 
 
-@pytest.mark.parametrize("name", ATTACKS)
+# All of them in the slow stage; every third in the quick one.
+SHARED = [pytest.param(name, marks=[pytest.mark.slow] if i % 3 else []) for i, name in enumerate(ATTACKS)]
+
+
+@pytest.mark.parametrize("name", SHARED)
 def test_an_attack_gets_what_it_earned(name: str, tmp_path: Path) -> None:
     source, score, why = ATTACKS[name]
     found = graded(source, tmp_path)
