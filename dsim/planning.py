@@ -181,16 +181,19 @@ class Plan:
             yield Line("warn", f"h d_max = {self.h * d:.3g} > 2", f"damping blows up: implicit, or h < {2 / d:.2g}")
 
     def __str__(self) -> str:
-        if self.system.curved:
-            frame = self.system.frame  # type: ignore[union-attr]
-            beside = f" and {frame.particles} points" if frame.particles else ""
-            size = f"{frame.bodies} bodies{beside}"
-            return "\n".join(
-                [f"plan: {size}, {type(self.stepper).__name__}, h = {self.h:.4g} s", *map(str, self.lines)]
-            )
-        size = f"{len(self.system.mass)} points" if isinstance(self.system, System) else f"{self.system.n} unknowns"
-        head = f"plan: {size}, {type(self.stepper).__name__}, h = {self.h:.4g} s"
+        head = f"plan: {self._size()}, {type(self.stepper).__name__}, h = {self.h:.4g} s"
         return "\n".join([head, *(str(line) for line in self.lines)])
+
+    def _size(self) -> str:
+        system: Any = self.system
+        if not isinstance(system, System):
+            return f"{system.n} unknown{'s' * (system.n != 1)}"
+        frame: Any = getattr(system, "frame", None)
+        bodies = frame.bodies if frame else 0
+        points = len(system.mass) - bodies
+        parts = [f"{bodies} bod{'ies' if bodies > 1 else 'y'}"] if bodies else []
+        parts += [f"{points} point{'s' * (points > 1)}"] if points else []
+        return " and ".join(parts)
 
     def compared(self, counters: Counters, steps: int) -> str:
         """Predicted and actual counts of a run side by side."""

@@ -163,7 +163,7 @@ def test_pay_back_of_bodies_tells_what_the_gyroscopic_torque_changes():
 
 def test_the_command():
     result = CliRunner().invoke(app, ["plan", "projectile", "--pay-back"])
-    assert result.exit_code == 0 and "plan: 1 points, RK4" in result.stdout and "== 4" in result.stdout
+    assert result.exit_code == 0 and "plan: 1 point, RK4" in result.stdout and "== 4" in result.stdout
     assert all(len(line) <= 80 for line in result.stdout.splitlines())
     warned = CliRunner().invoke(app, ["plan", "pendulum_stiff", "--stepper", "SymplecticEuler"])
     assert warned.exit_code == 1 and "h w_max" in warned.stdout
