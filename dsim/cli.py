@@ -280,13 +280,14 @@ def accuracy(
     ] = None,
     to: Annotated[Path, typer.Option("--to", help="Directory of the results.", metavar="DIR")] = Path("dsim-accuracy"),
     quick: Annotated[
-        bool, typer.Option("--quick", help="A small sweep, by default of two problems: half a minute.")
+        bool, typer.Option("--quick", help="A small sweep, by default of two problems: a minute.")
     ] = False,
     fresh: Annotated[bool, typer.Option("--fresh", help="Measure again what was measured before.")] = False,
 ) -> None:
     """What does accuracy cost?  Errors of states and gradients over seconds, for every stepper and SciPy's solvers.
 
-    The problems: projectile, pendulum, kepler, chain, two-rates, cloth. `gradients` asks what a gradient costs by
+    The problems: projectile, pendulum, kepler, chain, two-rates, cloth, and of rigid bodies free-top and heavy-top.
+    `gradients` asks what a gradient costs by
     finite differences, complex steps, sensitivities and the adjoint for 1 to 10,000 parameters, and whether it
     converges like the state.
 

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from dsim.arrays.checks import Array, as_array, as_step
+from dsim.effects.effect import current
 from dsim.effects.rows import has_rows
 from dsim.solve.linear import DENSE_SIZE
 from dsim.steppers import body_run
@@ -26,6 +27,9 @@ if TYPE_CHECKING:
     from dsim.solve.band import Band
 
 WANTS = ("gradient",)
+
+
+DERIVATIVES = ("dq", "dv", "dtheta")
 
 
 @dataclass(frozen=True)
@@ -128,6 +132,8 @@ class Plan:
             yield Line("off", "contact, friction", "the system has no colliders")
             if not self.system.curved:
                 yield Line("off", "gyroscopic torque", "points have no inertia")
+            elif not getattr(self.system, "torque", True):
+                yield Line("off", "gyroscopic torque", "taken out (without)")
             elif not any(effect.name == "gyroscopic" for effect in self.system.effects):
                 yield Line("off", "gyroscopic torque", "isotropic inertia: omega x I omega = 0")
 
@@ -166,6 +172,12 @@ class Plan:
         return Recomputation(kept * state, checkpoints.advances(steps), checkpoints.most(steps))
 
     def _warnings(self) -> Iterator[Line]:
+        for effect in getattr(self.system, "effects", ()):
+            inner = getattr(effect, "effect", effect)  # of points on bodies
+            stale = [c for c in DERIVATIVES if getattr(inner, c, None) and not current(inner, c, ("force",))]
+            if stale:
+                told = f"{type(inner).__name__} states its own force and inherits {', '.join(stale)}: check them"
+                yield Line("warn", effect.name, told)
         for effect in self._forbidden():
             if self.whole is not None and (why := _acts(effect, self.whole, self.y0)):
                 yield Line("warn", f"no {effect.name}", why)

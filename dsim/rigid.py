@@ -3,7 +3,7 @@
     x' = v,  q' = 1/2 q (x) (0, omega),  m v' = f,  I omega' = tau - omega x I omega
 
 omega, tau and I are in the frame of the body, so that M = diag(m, m, m, I) is constant.  Everything else - forces and
-their derivatives, stages, parameters - is `System`'s: a body is six more numbers.
+their derivatives, stages, parameters - is `System`'s: an inertia is six more parameters.
 """
 
 from __future__ import annotations
@@ -16,11 +16,11 @@ import numpy as np
 
 from dsim.arrays.checks import Array, Numbers, as_array, as_positive
 from dsim.arrays.frozen import replace
-from dsim.arrays.rotation import as_unit, cross, normalised
-from dsim.effects.at_points import AtPoints, Attached, Markers, bound
+from dsim.arrays.rotation import as_unit, cross, normalised, rotate
+from dsim.effects.at_points import AtPoints, Markers, bound
 from dsim.effects.bodies import BodyLayout
 from dsim.effects.gyroscopic import ENTRIES, Gyroscopic, angular_momentum, by_inertia, tensors
-from dsim.system import System, as_effects, as_fixed, layout_of
+from dsim.system import System, as_effects, as_fixed, fresh, layout_of
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
@@ -53,13 +53,17 @@ class RigidBodies(System):
             raise ValueError("mass must have at least one body; got shape (0,)")
         frame = BodyLayout(len(points), len(bodies))
         free = np.ones(frame.n)
+        if not len(points) and np.size(fixed):
+            raise ValueError(f"fixed must be empty: bodies cannot be pinned, but tied by Attached springs; got {fixed}")
         pins = as_fixed(fixed, len(points))
         free[frame.centre_dofs[list(pins)].ravel()] = 0.0
         given = as_effects(effects)
         if any(effect.name == OWN_TORQUE for effect in given):
             raise ValueError(f"an effect may not be called {OWN_TORQUE!r}: RigidBodies has that torque of itself")
-        values = {"mass": np.concatenate([points, bodies]), "inertia": six, "dimension": 3, "fixed": pins, "free": free,
-                  "frame": frame, "given": given, "patterns": {}}  # fmt: skip
+        mass = np.concatenate([points, bodies])
+        mass.setflags(write=False)
+        values = {"mass": mass, "inertia": six, "dimension": 3, "fixed": pins, "free": free,
+                  "frame": frame, "patterns": {}}  # fmt: skip
         for name, value in values.items():
             object.__setattr__(self, name, value)
         effects = tuple(_on_bodies(effect, self.mass, frame) for effect in given)
@@ -67,8 +71,9 @@ class RigidBodies(System):
         object.__setattr__(self, "layout", layout_of(self.own, self.effects))
 
     frame: BodyLayout
-    given: tuple[Any, ...]  # the effects as they came
     inertia: Array  # (B,6)
+    torque = True  # False after `without("gyroscopic")`: the torque then stays out, whatever the inertia
+    composed = False  # made by `compose`
 
     @property
     def n(self) -> int:
@@ -91,15 +96,15 @@ class RigidBodies(System):
         """y (13B,) of the bodies alone.  position (B,3) m, attitude (B,4) quaternions of any norm, (1,0,0,0) without
         one; velocity (B,3) m/s, spin (B,3) rad/s in the body frame; one row serves all bodies."""
         if self.frame.particles:
-            raise ValueError("state is for bodies alone; with particles put y = [q, v] together by hand")
+            raise ValueError("state is for bodies alone; a scene with particles has compose_states(systems, states)")
         rows = {}
         for name, value, size in (("position", position, 3), ("velocity", velocity, 3), ("spin", spin, 3),
                                   ("attitude", [1.0, 0, 0, 0] if attitude is None else attitude, 4)):  # fmt: skip
-            array = as_array(name, value)
-            try:
-                rows[name] = np.array(np.broadcast_to(array, (self.frame.bodies, size)))
-            except ValueError as error:
-                raise ValueError(f"{name} must have shape ({self.frame.bodies}, {size}); got {array.shape}") from error
+            array, whole = as_array(name, value), (self.frame.bodies, size)
+            at_rest = array.ndim == 0 and array == 0 and name in ("velocity", "spin")
+            if not at_rest and array.shape not in (whole, (size,)):
+                raise ValueError(f"{name} must have shape {whole}, or ({size},) for all bodies; got {array.shape}")
+            rows[name] = np.array(np.broadcast_to(array, whole))
         rows["attitude"] = as_unit("attitude", rows["attitude"], (None, 4))
         q = np.concatenate([rows["position"], rows["attitude"]], axis=1)
         return np.concatenate([q.ravel(), np.concatenate([rows["velocity"], rows["spin"]], axis=1).ravel()])
@@ -111,10 +116,18 @@ class RigidBodies(System):
     def flow(self, t: float, y: Array) -> Array:
         """dy/dt = (v, 1/2 q (x) (0, omega), M^-1 f), for attitudes of any norm."""
         q, v = self.blocks(y)
+        return np.concatenate([self.frame.change_of(q, v), self.rate(t, self.unit(q), v)])
+
+    def unit(self, q: Array) -> Array:
+        """q with attitudes of norm 1, as forces and energies are meant to see it."""
         unit = q.copy()
         turns = self.frame.turns(unit)
         turns[:] = normalised(turns)
-        return np.concatenate([self.frame.change_of(q, v), self.rate(t, unit, v)])
+        return unit
+
+    def energy(self, t: float, y: Array) -> float:
+        q, v = self.blocks(y)
+        return self.kinetic(v) + self.potential(t, self.unit(q))
 
     def slope_by_turn(self, y: Array, slope: Array) -> Array:
         return np.concatenate([self.frame.change_vjp(y[: self.width], slope[: self.width]), slope[self.width :]])
@@ -132,6 +145,8 @@ class RigidBodies(System):
 
     def _torque(self) -> tuple[Gyroscopic, ...]:
         """The gyroscopic torque of the bodies that have one."""
+        if not self.torque:
+            return ()
         six = self.inertia
         round_ = (six[:, 0] == six[:, 1]) & (six[:, 1] == six[:, 2]) & ~six[:, 3:].any(axis=1)
         if round_.all():
@@ -151,13 +166,13 @@ class RigidBodies(System):
             if name not in known:
                 raise ValueError(f"no effect is called {name!r}; this system has {', '.join(known) or 'none'}")
         kept = tuple(effect for effect in self.effects if effect.name not in names)
-        return replace(self, effects=kept, layout=layout_of(self.own, kept))
+        torque = self.torque and OWN_TORQUE not in names
+        return fresh(self, effects=kept, layout=layout_of(self.own, kept), torque=torque)
 
     def _round_torque(self) -> Gyroscopic | None:
         """Where the torque is left out, for it is 0: its derivative by the inertia is not."""
-        return (
-            None if any(effect.name == OWN_TORQUE for effect in self.effects) else Gyroscopic(self.inertia, self.frame)
-        )
+        there = any(effect.name == OWN_TORQUE for effect in self.effects)
+        return None if there or not self.torque else Gyroscopic(self.inertia, self.frame)
 
     def dtheta(self, t: float, q: Array, v: Array) -> csr_array:
         from scipy.sparse import csr_array, hstack
@@ -182,6 +197,12 @@ class RigidBodies(System):
             total += (self.free * (torque.dtheta(t, *place) @ dtheta[self.own["inertia"]]).T).T
         return total
 
+    def relative_change(self, dtheta: Array) -> float:
+        """The largest change of a mass or an inertia, relative to it (to its smallest moment)."""
+        mass, inertia = (dtheta[self.own[name]] for name in ("mass", "inertia"))
+        smallest = np.repeat(np.linalg.eigvalsh(tensors(self.inertia))[:, 0], 6)
+        return float(max(np.abs(mass / self.mass).max(), np.abs(inertia / smallest).max()))
+
     # M = diag(m, I)
 
     @cached_property
@@ -202,7 +223,12 @@ class RigidBodies(System):
     @cached_property
     def _solver(self) -> tuple[Array, Array]:
         """1/m of centres (N+B,1), and the six numbers of each inverse inertia."""
-        inverse = np.linalg.inv(tensors(self.inertia))
+        matrices = tensors(self.inertia)
+        try:
+            inverse = np.linalg.inv(matrices)
+        except np.linalg.LinAlgError as error:
+            body = int(np.argmin(np.abs(np.linalg.det(matrices))))
+            raise ValueError(f"inertia of body {body} has no inverse; got {matrices[body].tolist()}") from error
         six = np.stack([inverse[:, i, j] for i, j in ENTRIES], axis=1)
         return np.asarray(1 / self.mass[:, None]), six
 
@@ -234,6 +260,13 @@ class RigidBodies(System):
         frame.spins(out)[:] = angular_momentum(six, frame.spins(w))
         return out
 
+    def angular_momentum(self, y: Array) -> Array:
+        """Of the whole scene about the world's origin, (3,) kg m^2/s: sum m x x v + R I omega."""
+        (q, v), frame = self.blocks(y), self.frame
+        own = rotate(normalised(frame.turns(q)), frame.spins(self.momentum(v)))
+        orbital = cross(frame.centres_of(q), self.mass[:, None] * frame.velocities_of(v))
+        return np.asarray(own.sum(axis=0) + orbital.sum(axis=0))
+
     def momentum_dtheta(self, v: Array) -> csr_array:
         from scipy.sparse import csr_array
 
@@ -250,6 +283,9 @@ class RigidBodies(System):
     def momentum_tangent(self, v: Array, dtheta: Array) -> Array:
         change: Array = self.momentum_dtheta(v) @ dtheta
         return change
+
+    def curvature(self, *given: Any) -> Any:
+        raise ValueError("forces on bodies have no second derivatives in closed form; use hessian_product")
 
     def momentum_vjp(self, v: Array, w: Array, theta_bar: Array) -> None:
         frame, own = self.frame, self.own
@@ -280,24 +316,38 @@ def compose(*systems: System, effects: Any = ()) -> RigidBodies:
     for system in systems:
         kind = "bodies" if isinstance(system, RigidBodies) else "points"
         first, count = firsts[kind], len(system.mass)
-        given = system.given if isinstance(system, RigidBodies) else system.effects
-        gathered += [Part(effect, first, count, system.mass) for effect in given]
+        own = [effect for effect in system.effects if effect.name != OWN_TORQUE]
+        gathered += [Part(effect, first, count, system.mass, kind == "bodies") for effect in own]
         fixed += [first + place for place in system.fixed]
         firsts[kind] += count
     cloths = [system for system, count in zip(systems, points, strict=True) if count]
     rigid: list[Any] = [system for system, count in zip(systems, bodies, strict=True) if count]
-    return RigidBodies(
+    torque = _common_torque(rigid)
+    scene = RigidBodies(
         np.concatenate([system.mass for system in rigid]),
         np.concatenate([tensors(system.inertia) for system in rigid]),
         (*gathered, *as_effects(effects)),
         particles=np.concatenate([np.empty(0), *(system.mass for system in cloths)]),
         fixed=fixed,
     )
+    kept = tuple(effect for effect in scene.effects if torque or effect.name != OWN_TORQUE)
+    return fresh(scene, effects=kept, layout=layout_of(scene.own, kept), torque=torque, composed=True)
+
+
+def _common_torque(systems: Sequence[RigidBodies]) -> bool:
+    """Whether the gyroscopic torque is in a scene: all parts must agree that call for it."""
+    with_it = [system for system in systems if any(effect.name == OWN_TORQUE for effect in system.effects)]
+    torque = all(system.torque for system in systems)
+    if with_it and not torque:
+        raise ValueError("systems must agree on the gyroscopic torque; it was taken out of some of them alone")
+    return torque
 
 
 def compose_states(systems: Sequence[System], states: Sequence[Any]) -> Array:
     """The state of `compose(*systems)` from those of its parts."""
     _check_parts(systems)
+    if len(systems) != len(states):
+        raise ValueError(f"states must be one for each of the {len(systems)} systems; got {len(states)}")
     parts: tuple[list[Array], ...] = ([], [], [], [])
     for number, (system, y) in enumerate(zip(systems, states, strict=True)):
         y, kind = as_array(f"states[{number}]", y, (system.size,)), isinstance(system, RigidBodies)
@@ -310,7 +360,7 @@ def _check_parts(systems: Sequence[System]) -> None:
     for system in systems:
         if not isinstance(system, System) or system.dimension != 3:
             raise ValueError(f"systems must be in 3-D, System or RigidBodies; got {system!r:.60}")
-        if isinstance(system, RigidBodies) and system.frame.particles:
+        if isinstance(system, RigidBodies) and (system.composed or system.frame.particles):
             raise ValueError("systems must be plain; got one that is composed already: give all its parts at once")
     if not any(isinstance(system, RigidBodies) for system in systems):
         raise ValueError("compose needs at least one RigidBodies; particles alone are one System")
@@ -319,8 +369,9 @@ def _check_parts(systems: Sequence[System]) -> None:
 class Part:
     """An effect of one part of a scene: its centres are first, ..., first + count - 1."""
 
-    def __init__(self, effect: Any, first: int, count: int, mass: Array) -> None:
+    def __init__(self, effect: Any, first: int, count: int, mass: Array, of_bodies: bool) -> None:
         self.effect, self.first, self.count, self.mass = effect, first, count, mass
+        self.of_bodies = of_bodies
 
     @property
     def name(self) -> str:
@@ -330,18 +381,24 @@ class Part:
         raise ValueError(f"{self.name} belongs to a part of a scene")
 
     def bind_bodies(self, frame: BodyLayout) -> Any:
-        if isinstance(self.effect, Attached):
-            return self.effect.moved(self.first).bind_bodies(frame)
-        if hasattr(self.effect, "bind_bodies"):
+        centres, masses = self.first + np.arange(self.count), slice(self.first, self.first + self.count)
+        if isinstance(self.effect, AtPoints):
+            old = self.effect.markers
+            markers = Markers(frame, self.first + old.to, old.at)
+            return AtPoints(self.effect.effect, markers, masses if old.centred else None)
+        if self.of_bodies and not hasattr(self.effect, "bind_bodies"):
+            raise ValueError(f"{self.name} cannot be moved into a scene: what its bind_bodies returned has none itself")
+        if self.of_bodies:
             return self.effect.bind_bodies(frame.part(self.first - frame.particles, self.count))
-        centres = self.first + np.arange(self.count)
         markers = Markers(frame, centres, np.zeros((self.count, 3)))
-        return AtPoints(bound(self.effect, self.mass), markers, slice(self.first, self.first + self.count))
+        return AtPoints(bound(self.effect, self.mass), markers, masses)
 
 
 def _on_bodies(effect: Any, mass: Array, frame: BodyLayout) -> Any:
+    if isinstance(effect, AtPoints):
+        return effect.rebound(mass, frame)
     if hasattr(effect, "bind_bodies"):
-        return effect.bind_bodies(frame)
+        return as_effects(effect.bind_bodies(frame))[0]
     return AtPoints(bound(effect, mass), Markers(frame))
 
 
@@ -364,7 +421,9 @@ def as_inertia(value: Any, count: int) -> Array:
                 f"inertia: no principal moment may exceed the sum of the others; body {body} has {_listed(moments)} "
                 "(is it about the centre of mass?)"
             )
-    return np.stack([matrices[:, i, j] for i, j in ENTRIES], axis=1)
+    six = np.stack([matrices[:, i, j] for i, j in ENTRIES], axis=1)
+    six.setflags(write=False)
+    return six
 
 
 def _listed(moments: Array) -> str:

@@ -53,6 +53,11 @@ class Trajectory:
     steps: tuple[Step, ...] | None = None
     run: ExplicitRun | None = field(default=None, repr=False)  # an explicit run, ready to carry gradients back
     snapshots: Snapshots | None = field(default=None, repr=False)  # what a run with Checkpoints kept
+    positions: int | None = None  # length of q, of a trajectory without its system
+
+    def __repr__(self) -> str:
+        name = type(self.stepper).__name__
+        return f"<Trajectory: {name}, h = {self.h:g} s, {len(self.t) - 1} steps, {self.status}>"
 
     @cached_property
     def y(self) -> Array:
@@ -95,7 +100,7 @@ class Trajectory:
     def n(self) -> int:
         """Length of q; of bodies, whose quaternions count."""
         if self.system is None:
-            return self.y.shape[1] // 2
+            return self.y.shape[1] // 2 if self.positions is None else self.positions
         return self.system.width
 
     @property
@@ -175,7 +180,8 @@ class Trajectory:
                 raise ValueError(f"t has shape {t.shape}, y {y.shape}")
             if system is not None and y.shape[1] != system.size:
                 raise ValueError(f"path must hold states of size {system.size}; {path} has {y.shape[1]}")
-            return cls(stepper, system, float(values["h"]), t, y, Status(str(values["status"])), counters)
+            state = float(values["h"]), t, y, Status(str(values["status"])), counters
+            return cls(stepper, system, *state, positions=int(values["n"]))
         except FileNotFoundError:
             raise
         except (KeyError, OSError, EOFError, TypeError, zipfile.BadZipFile, zlib.error, NotImplementedError) as error:
@@ -288,10 +294,13 @@ def explain(trajectory: Trajectory) -> str:
     """One line on a run that failed: the step, the status, what to do."""
     n = len(trajectory.t) - 1
     name = type(trajectory.stepper).__name__
+    curved = getattr(trajectory.system, "curved", False)
+    tried = getattr(trajectory.stepper, "globalize", "") == "energy"
+    energy = "" if curved or tried else "globalize='energy', or "
     advice = {
         Status.NOT_FINITE: "the state overflowed or a force is NaN; use a smaller h or an implicit stepper",
-        Status.MAX_ITERATIONS: "Newton did not converge; use a smaller h, globalize='energy' or more max_iterations",
-        Status.LINE_SEARCH_FAILED: "no step length lowered the residual; use globalize='energy' or a smaller h",
+        Status.MAX_ITERATIONS: f"Newton did not converge; use {energy}a smaller h or more max_iterations",
+        Status.LINE_SEARCH_FAILED: f"no step length lowered the residual; use {energy}a smaller h",
         Status.SINGULAR: "Newton's matrix has no inverse (a fold, or h is too large) or is not finite",
     }[trajectory.status]
     return f"{name} failed in step {n} (t = {n * trajectory.h:.6g}): {trajectory.status}; {advice}"

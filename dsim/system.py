@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, partial
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -180,7 +180,7 @@ class System:
             values = {p.label: theta[p.place].reshape(p.shape) for p in parameters}
             exchanged = getattr(effect, "exchanged", None) or partial(replace, effect)
             effects.append(exchanged(**values) if values else effect)
-        return _fresh(self, **own, effects=tuple(effects))
+        return fresh(self, **own, effects=tuple(effects))
 
     def without(self, *names: str) -> System:
         """The system with some effects left out.  Raises ValueError for a name it does not have."""
@@ -196,7 +196,7 @@ class System:
         if not any(hasattr(effect, "at") for effect in self.effects):
             return self
         q = y[: self.width]
-        return _fresh(self, effects=tuple(e.at(t, q, h) if hasattr(e, "at") else e for e in self.effects))
+        return fresh(self, effects=tuple(e.at(t, q, h) if hasattr(e, "at") else e for e in self.effects))
 
     # Forces and their derivatives: sums over exactly the effects that have the capability
 
@@ -506,7 +506,10 @@ def _key(weights: tuple[float, float]) -> tuple[bool, ...]:
     return tuple(weight != 0 for weight in weights)
 
 
-def _fresh(system: System, **values: Any) -> System:
+S = TypeVar("S", bound="System")
+
+
+def fresh(system: S, **values: Any) -> S:
     """A copy without the cached properties of the original."""
     twin = replace(system, **values)
     for cached in ("theta", *(system.OF_MASS if "mass" in values else ())):
@@ -540,6 +543,8 @@ def _symmetric(effect: Any) -> bool:
 
 
 def _bound(effect: Any, mass: Array, dimension: int) -> Effect:
+    if hasattr(effect, "bind_bodies") and not hasattr(effect, "bind"):
+        raise ValueError(f"effects must be those of points; {effect.name} acts on rigid bodies: give it to RigidBodies")
     bound: Effect = effect.bind(mass, dimension) if hasattr(effect, "bind") else effect
     return bound
 

@@ -90,7 +90,7 @@ def test_the_sign_says_how_far_it_can_be_twisted():
 
 def test_the_racket_flips_when_the_elliptic_functions_say():
     """omega_2 changes its sign each 2K/p; omega_2 = w_2 cd-like, read here from crossings half a wave apart."""
-    scene = scenes.racket(h=0.005, steps=600)
+    scene = scenes.racket(h=0.01, steps=700)
     I1, I2, I3 = scene.system.inertia[0, :3]
     w1, w2, w3 = scene.y0[10:]
     T2, LL = I1 * w1**2 + I2 * w2**2 + I3 * w3**2, (I1 * w1) ** 2 + (I2 * w2) ** 2 + (I3 * w3) ** 2

@@ -21,17 +21,27 @@ TINY = 1e-150  # rad: sin(TINY)/TINY is 1, and no product of it underflows
 def as_unit(name: str, value: Any, shape: tuple[int | None, ...] = (4,)) -> Array:
     """Quaternions of this shape, divided by their norms; ValueError for one that is zero, or not finite."""
     q = as_array(name, value, shape)
-    if not (norms := np.abs(q).max(axis=-1)).all():
-        where = np.argwhere(norms == 0)[0].tolist()
+    if not (largest := np.abs(q).max(axis=-1)).all():
+        where = np.argwhere(largest == 0)[0].tolist()
         place = f" at index {where[0] if len(where) == 1 else tuple(where)}" if where else ""
         raise ValueError(f"{name} must be quaternions other than 0, which is no attitude; got (0, 0, 0, 0){place}")
-    return normalised(q / norms[..., None])
+    return normalised(q)
 
 
 def normalised(q: Array) -> Array:
-    """q / |q|."""
-    unit: Array = q / np.sqrt(np.einsum("...i,...i->...", q, q))[..., None]
-    return unit
+    """q / |q|, also of numbers whose squares are too large or too small."""
+    q = np.asarray(q)
+    square = np.einsum("...i,...i->...", q, q)
+    if 1e-200 < square.min(initial=1.0) and square.max(initial=1.0) < 1e200:
+        return np.asarray(q / np.sqrt(square)[..., None])
+    return np.asarray(q / norms(q))
+
+
+def norms(q: Array) -> Array:
+    """|q| (...,1), of numbers of any size."""
+    largest = np.abs(q).max(axis=-1, keepdims=True)
+    scale = np.where(largest > 0, largest, 1.0)
+    return np.asarray(scale * np.sqrt(np.einsum("...i,...i->...", q / scale, q / scale))[..., None])
 
 
 def conjugate(q: Array) -> Array:
@@ -47,6 +57,7 @@ def _room(a: Array, b: Array) -> Array:
 
 def cross(a: Array, b: Array) -> Array:
     """a x b along the last axis; several times as quick as numpy.cross."""
+    a, b = np.asarray(a), np.asarray(b)
     out = _room(a, b)
     for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
         np.subtract(a[..., j] * b[..., k], a[..., k] * b[..., j], out=out[..., i])
@@ -63,6 +74,7 @@ def skew(w: Array) -> Array:
 
 def product(p: Array, q: Array) -> Array:
     """p (x) q: turns by q first, then by p."""
+    p, q = np.asarray(p), np.asarray(q)
     out = _room(p, q)
     pw, px, py, pz = (p[..., i] for i in range(4))
     qw, qx, qy, qz = (q[..., i] for i in range(4))
@@ -85,6 +97,7 @@ def product(p: Array, q: Array) -> Array:
 
 def rotate(q: Array, u: Array) -> Array:
     """R(q) u of a unit quaternion: body to world."""
+    q = np.asarray(q)
     twice = 2 * cross(q[..., 1:], u)
     turned: Array = u + q[..., :1] * twice + cross(q[..., 1:], twice)
     return turned
@@ -92,6 +105,7 @@ def rotate(q: Array, u: Array) -> Array:
 
 def to_matrix(q: Array) -> Array:
     """R(q) (...,3,3) of a unit quaternion."""
+    q = np.asarray(q)
     w, x, y, z = (q[..., i] for i in range(4))
     out = np.empty((*q.shape[:-1], 3, 3))
     out[..., 0, 0], out[..., 1, 1], out[..., 2, 2] = (
@@ -123,6 +137,7 @@ def from_matrix(R: Array) -> Array:
 
 def exponential(r: Array) -> Array:
     """The turn by |r| rad about r: (cos |r|/2, sin(|r|/2) r/|r|)."""
+    r = np.asarray(r)
     half = np.maximum(0.5 * np.sqrt(np.einsum("...i,...i->...", r, r)), TINY)
     out = np.empty_like(r, dtype=float, shape=(*r.shape[:-1], 4))
     np.cos(half, out=out[..., 0])

@@ -15,13 +15,15 @@ from numpy.typing import NDArray
 
 from dsim.arrays.checks import Array, Numbers, as_array
 from dsim.arrays.frozen import replace
-from dsim.arrays.rotation import cross, skew, to_matrix
+from dsim.arrays.rotation import cross, normalised, skew, to_matrix
 from dsim.effects.bodies import FEW, BodyLayout, Poses
 from dsim.effects.rows import has_rows, products
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
+# attributes that are not the inner effect's: its binding and its derivatives are about points
+OWN = ("effect", "markers", "masses", "bind", "bind_bodies", "curvature", "symmetric")
 OPTIONAL = (
     "energy",
     "dtheta",
@@ -47,6 +49,8 @@ class Attached:
         to = np.asarray(self.to)
         if to.shape != (len(at),) or not np.issubdtype(to.dtype, np.integer):
             raise ValueError(f"to must be whole numbers, one for each of the {len(at)} points; got {self.to!r:.60}")
+        if hasattr(self.effect, "bind_bodies"):
+            raise ValueError(f"effect must be one of points; {self.effect.name} acts on bodies already")
         if "mass" in getattr(self.effect, "parameters", ()):
             raise ValueError(f"{self.effect.name} acts on masses, so on centres of mass: give it without Attached")
         object.__setattr__(self, "at", at)
@@ -65,10 +69,6 @@ class Attached:
         if np.any(self.at[self.to < layout.particles]):
             raise ValueError("at must be 0 for particles: they have no extent")
         return AtPoints(bound(self.effect, np.ones(len(self.to))), Markers(layout, self.to, self.at))
-
-    def moved(self, first: int) -> Attached:
-        """The same on a scene in which centre 0 has become `first`."""
-        return replace(self, to=first + self.to)
 
 
 def bound(effect: Any, mass: Array) -> Any:
@@ -95,7 +95,7 @@ class Markers:
         """R and -R [p]x (A,3,3) at the arms, kept for the last q: a step asks many times about the same place."""
         key = q.tobytes()
         if self._kept is None or self._kept[0] != key:
-            R = to_matrix(self.layout.turns(q)[self.bodies])
+            R = to_matrix(normalised(self.layout.turns(q)[self.bodies]))
             self._kept = key, R, -R @ self._across
         return self._kept[1:]
 
@@ -188,7 +188,7 @@ class AtPoints:
 
     def __getattr__(self, label: str) -> Any:
         """Parameters of the inner effect, and the capabilities that it has."""
-        if label.startswith("__") or label in ("effect", "markers", "masses"):
+        if label.startswith("__") or label in OWN:
             raise AttributeError(label)
         if label in OPTIONAL and label != "columns":
             if getattr(self.effect, label, None) is None:
@@ -201,6 +201,15 @@ class AtPoints:
         """Where the inner effect has rows and acts on the centres of a scene of bodies alone."""
         alone = self.markers.centred and not self.markers.layout.particles
         return (lambda: CentreRows(self.effect.rows())) if alone and has_rows(self.effect) else None
+
+    def rebound(self, mass: Array, layout: BodyLayout) -> AtPoints:
+        """The same in another system of bodies."""
+        m = self.markers
+        if m.centred:
+            return AtPoints(bound(self.effect, mass), Markers(layout))
+        if m.to.max(initial=-1) >= layout.centres:
+            raise ValueError(f"{self.name} is attached to centre {m.to.max()}; there are {layout.centres}")
+        return AtPoints(self.effect, Markers(layout, m.to, m.at))
 
     def exchanged(self, **values: Any) -> AtPoints:
         """With other parameter values."""
@@ -216,7 +225,17 @@ class AtPoints:
         return float(self.effect.energy(t, self.markers.places(q).ravel()))
 
     def force(self, t: float, q: Array, v: Array) -> Array:
-        return self.markers.push(q, self.effect.force(t, *self._place(q, v)).reshape(-1, 3))
+        return self.markers.push(q, self._forces(t, self._place(q, v)))
+
+    def _forces(self, t: float, place: tuple[Array, Array]) -> Array:
+        """The inner effect's forces (M,3), checked: a wrong shape would be spread over all points."""
+        force = self.effect.force(t, *place)
+        self._check("force", force, place[0].shape)
+        return np.asarray(force).reshape(-1, 3)
+
+    def _check(self, capability: str, value: Any, shape: tuple[int, ...]) -> None:
+        if np.shape(value) != shape:
+            raise ValueError(f"{capability} of {self.name!r} must return shape {shape}; got {np.shape(value)}")
 
     @cached_property
     def _needs(self) -> tuple[bool, bool, bool]:
@@ -236,6 +255,7 @@ class AtPoints:
     def _points(self, capability: str, place: Any) -> Any:
         """A matrix of the inner effect, as an array where J is one."""
         matrix = getattr(self.effect, capability)(*place)
+        self._check(capability, matrix, (place[1].size, place[1].size))
         return matrix.toarray() if self.markers.few and not isinstance(matrix, np.ndarray) else matrix
 
     def _dq(self, t: float, q: Array, v: Array) -> Any:
@@ -246,7 +266,7 @@ class AtPoints:
         if by_place:
             total = total + J.T @ self._points("dq", (t, x, u)) @ J
         if turns:
-            total = total + m.turning(q, self.effect.force(t, x, u).reshape(-1, 3))
+            total = total + m.turning(q, self._forces(t, (x, u)))
             if by_velocity:
                 arms = cross(m.layout.spins(v)[m.bodies], m.offsets)
                 total = total + J.T @ self._points("dv", (t, x, u)) @ m.jacobian(q, arms)
@@ -271,7 +291,7 @@ class AtPoints:
         if m.arms.size:
             spins, turns = m.layout.spins(v)[m.bodies], m.layout.spins(w)[m.bodies]
             swung = cross(cross(spins, m.offsets), m.local(q, u_bar))
-            forces = m.local(q, self.effect.force(t, x, u).reshape(-1, 3))
+            forces = m.local(q, self._forces(t, (x, u)))
             by_q = by_q + m.twist(swung + cross(forces, cross(m.offsets, turns)))
         return by_q, by_v, theta_bar
 

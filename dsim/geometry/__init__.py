@@ -1,7 +1,7 @@
 """Shapes: how heavy they are, how they resist turning, and their outlines for pictures."""
 
 from dsim.geometry.faces import box_faces, racket_faces
-from dsim.geometry.inertia import MassProperties, box, capsule, cylinder, polyhedron, solid, sphere
+from dsim.geometry.inertia import MassProperties, box, capsule, cylinder, polyhedron, read_mesh, solid, sphere
 
 __all__ = [
     "MassProperties",
@@ -11,6 +11,7 @@ __all__ = [
     "cylinder",
     "polyhedron",
     "racket_faces",
+    "read_mesh",
     "solid",
     "sphere",
 ]

@@ -33,6 +33,7 @@ class MassProperties:
             "centre": as_array("centre", self.centre, (3,)),
             "inertia": as_array("inertia", self.inertia, (3, 3)),
         }
+        _check_inertia(as_array("inertia", self.inertia, (3, 3)))
         for name, value in values.items():
             object.__setattr__(self, name, value)
 
@@ -53,9 +54,17 @@ class MassProperties:
 
     def __add__(self, other: MassProperties) -> MassProperties:
         """Both together, rigidly joined."""
+        if not isinstance(other, MassProperties):
+            return NotImplemented
         mass = self.mass + other.mass
         centre = (self.mass * self.centre + other.mass * other.centre) / mass
         return MassProperties(mass, centre, self.about(centre) + other.about(centre))
+
+    def __radd__(self, other: object) -> MassProperties:
+        """For `sum`, which begins with 0."""
+        if isinstance(other, int) and other == 0:
+            return self
+        return NotImplemented
 
     def principal(self) -> tuple[Array, Array]:
         """(moments (3,) ascending, quaternion of the frame of principal axes): I = R diag(moments) R^T."""
@@ -63,6 +72,18 @@ class MassProperties:
         if np.linalg.det(axes) < 0:
             axes = axes * [1.0, 1.0, -1.0]
         return moments, from_matrix(axes)
+
+
+def _check_inertia(inertia: Array) -> None:
+    """ValueError for one that no body has; 0, that of a point, is one."""
+    size, (low, middle, high) = np.abs(inertia).max(), np.linalg.eigvalsh(inertia)
+    if np.abs(inertia - inertia.T).max() > 1e-9 * size:
+        raise ValueError(f"inertia must be symmetric; got {inertia.tolist()}")
+    told = f"got principal moments {low:.6g}, {middle:.6g}, {high:.6g}"
+    if low < -1e-9 * size:
+        raise ValueError(f"inertia must be positive definite; {told}")
+    if high > (low + middle) * (1 + 1e-9) + 1e-9 * size:
+        raise ValueError(f"inertia: no principal moment may exceed the sum of the others; {told}")
 
 
 def _points(masses: Array, x: Array) -> Array:
@@ -111,6 +132,8 @@ def polyhedron(vertices: Any, mass: float) -> MassProperties:
     from scipy.spatial import ConvexHull, QhullError
 
     x, (m,) = as_array("vertices", vertices, (None, 3)), _sizes(mass=mass)
+    if len(x) < 4:
+        raise ValueError(f"vertices must be four points or more; got {len(x)}")
     try:
         hull = ConvexHull(x)
     except QhullError as error:
@@ -133,7 +156,8 @@ def solid(vertices: Any, faces: Any, mass: float) -> MassProperties:
     Raises ValueError for a mesh that is open, or inside out.
     """
     x, (m,) = as_array("vertices", vertices, (None, 3)), _sizes(mass=mass)
-    triangles = _closed(faces, len(x))
+    used, triangles = np.unique(_closed(faces, len(x)), return_inverse=True)
+    x, triangles = x[used], triangles.reshape(-1, 3)
     middle = x.mean(axis=0)  # integrals about a point nearby lose no digits
     a, b, c = (x[triangles[:, i]] - middle for i in range(3))
     volumes = np.einsum("fi,fi->f", a, np.cross(b, c)) / 6
@@ -142,12 +166,30 @@ def solid(vertices: Any, faces: Any, mass: float) -> MassProperties:
     if volume <= 1e-12 * size**3:
         told = "inside out: its faces must turn counter-clockwise seen from outside" if volume < 0 else "flat"
         raise ValueError(f"faces must enclose a volume; this mesh has {volume:.3g} m^3 and is {told}")
+    _check_parts(x, triangles, volumes)
     corners = np.stack([a, b, c])
     s = corners.sum(axis=0)
     centre = volumes @ s / 4 / volume
     second = np.einsum("f,fi,fj->ij", volumes, s, s) + np.einsum("f,pfi,pfj->ij", volumes, corners, corners)
     second = second / 20 / volume - np.outer(centre, centre)
     return MassProperties(m, centre + middle, m * (np.trace(second) * np.eye(3) - second))
+
+
+def _check_parts(x: Array, triangles: NDArray[np.int64], volumes: Array) -> None:
+    """ValueError for a part that is inside out and no hollow of another: it is not within one's bounding box."""
+    from scipy.sparse import csr_array
+    from scipy.sparse.csgraph import connected_components
+
+    edges = np.concatenate([triangles[:, :2], triangles[:, 1:]])
+    graph = csr_array((np.ones(len(edges)), (edges[:, 0], edges[:, 1])), shape=(len(x), len(x)))
+    count, part = connected_components(graph, directed=False)
+    sizes = np.bincount(part[triangles[:, 0]], volumes, count)
+    boxes = [(x[part == k].min(axis=0), x[part == k].max(axis=0)) for k in range(count)]
+    solids = [boxes[k] for k in np.flatnonzero(sizes > 0)]
+    for k in np.flatnonzero(sizes < 0):
+        low, high = boxes[k]
+        if not any((outer[0] <= low).all() and (high <= outer[1]).all() for outer in solids):
+            raise ValueError(f"faces: one of the mesh's {count} parts is inside out, and no hollow in another")
 
 
 def _closed(faces: Any, count: int) -> NDArray[np.int64]:
@@ -157,6 +199,8 @@ def _closed(faces: Any, count: int) -> NDArray[np.int64]:
         raise ValueError(f"faces must be whole numbers of shape (F, 3); got {triangles.dtype} {triangles.shape}")
     if triangles.size and not (0 <= triangles.min() and triangles.max() < count):
         raise ValueError(f"faces must be indices from 0 to {count - 1}; got {triangles.min()}..{triangles.max()}")
+    if not len(triangles):
+        raise ValueError("faces must enclose a volume; got none")
     edges = Counter(map(tuple, np.concatenate([triangles[:, [i, (i + 1) % 3]] for i in range(3)]).tolist()))
     if bad := [edge for edge, times in edges.items() if times != 1 or edges.get(edge[::-1], 0) != 1]:
         raise ValueError(

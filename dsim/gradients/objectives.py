@@ -31,9 +31,10 @@ Run = Callable[[Any, Array], Trajectory]  # (system, y0) -> trajectory
 class Variables:
     """Which numbers are turned: p (k,), entries of the start y0 and of the parameters theta.
 
-    wrt: names, "y0", "positions", "velocities" and those of `system.theta`; or names with the flat indices of the
-    entries that are turned, {"velocities": [3, 4, 5], "springs.stiffness": ...} (... for all).  The rest stays as in
-    system and y0.  Raises ValueError on unknown names, on indices that do not exist, and where one number is twice.
+    wrt: names, "y0", "positions", "velocities", of bodies "attitudes" and "spins", and those of `system.theta`; or
+    names with the flat indices of the entries that are turned, {"velocities": [3, 4, 5], "springs.stiffness": ...}
+    (... for all).  The rest stays as in system and y0.  Raises ValueError on unknown names, on indices that do not
+    exist, and where one number is twice.
 
     >>> from dsim import scenes
     >>> cloth = scenes.cloth(n=3)
@@ -92,6 +93,8 @@ def _known(system: Any) -> dict[str, NDArray[np.int64]]:
     places, ny = getattr(system, "width", system.n), system.size
     parts = {name: part.ravel() for name, part in system.split(np.arange(system.parameter_count)).items()}
     known = {"y0": np.arange(ny), "positions": np.arange(places), "velocities": np.arange(places, ny)}
+    if frame := getattr(system, "frame", None):  # rigid bodies
+        known |= {"attitudes": frame.turns(np.arange(places)).ravel(), "spins": places + frame.spin_dofs.ravel()}
     return known | {name: ny + part for name, part in parts.items()}
 
 

@@ -41,7 +41,8 @@ def close(name: str, value: Any, expected: Any, tolerance: float) -> Array:
     if not error <= tolerance:
         picture = Entries(name, expected, found, tolerance * scale) if expected.size > 1 else None
         allowed = f"{tolerance:.0e}" if tolerance else "nothing"
-        raise ItemLost(f"{name} is off by {error:.1e}, relative; allowed is {allowed}", error, tolerance, picture)
+        beside = f" of the largest entry, {scale:.3g}" if scale > 1 else ""
+        raise ItemLost(f"{name} is off by {error:.1e}{beside}; allowed is {allowed}", error, tolerance, picture)
     return found
 
 

@@ -43,7 +43,7 @@ def pay_back(scene: str, rows: Sequence[PayBack]) -> Figure:
     axes.set_yscale("log")
     axes.axvline(1.0, color="#57606a", linewidth=1)
     axes.margins(0.3)
-    label(axes, "time with / time without (ratio)", "change of the end (share of the motion)", f"{scene}: pay-back")
+    label(axes, "time with / time without (ratio)", "largest change (share of the motion)", f"{scene}: pay-back")
     return figure
 
 

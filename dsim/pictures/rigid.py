@@ -77,19 +77,29 @@ def film(axes: Axes, system: RigidBodies, states: Array, shapes: Sequence[Sequen
 
 
 @style()
-def flip(system: RigidBodies, t: Array, y: Array, flips: Array, frames: int = 9) -> Figure:
-    """A racket that turns about its middle axis: a film, and below it omega_2 with the flips by elliptic functions."""
+def flip(system: RigidBodies, t: Array, y: Array, flips: Array) -> Figure:
+    """A racket that turns about its middle axis, each time its handle comes back to where it was: only the flips
+    show; below, omega_2 with the flips by elliptic functions."""
     figure, (above, below) = canvas(2, 1, (9.5, 4.6), height_ratios=[1, 1.4])
-    chosen = np.linspace(0, len(t) - 1, frames).round().astype(int)
+    chosen = _returns(rotation.rotate(y[:, 3:7], np.array([1.0, 0.0, 0.0])))
     film(above, system, y[chosen], [racket()], 0.72)
     above.set_title("Thrown about its middle axis, a racket turns over; blue is its upper face")
     below.plot(t, y[:, 11], **{**look(0), "marker": ""}, label="simulated")
     below.plot(flips, 0 * flips, "o", color=COLOURS[1], label="flips, by elliptic functions")
-    below.plot(t[chosen], y[chosen, 11], "|", color="#57606a", markersize=14, label="frames of the film")
+    below.plot(
+        t[chosen], y[chosen, 11], "|", color="#57606a", markersize=14, label="frames of the film, after each turn"
+    )
     label(below, "time (s)", "omega_2 (rad/s)")
     below.legend(loc="upper right", fontsize=9, ncols=3)
     below.set_ylim(-1.35, 1.75)
     return figure
+
+
+def _returns(handle: Array) -> Array:
+    """Where a direction (K,3) is nearest to its first one, turn after turn."""
+    near = handle @ handle[0]
+    peaks = np.flatnonzero((near[1:-1] > near[:-2]) & (near[1:-1] >= near[2:]) & (near[1:-1] > 0.5)) + 1
+    return np.concatenate([[0], peaks])
 
 
 @style()

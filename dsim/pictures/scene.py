@@ -80,7 +80,7 @@ def _points(scene: Scene, trajectory: Trajectory) -> Array:
         return trajectory.q.reshape(len(trajectory.t), scene.points, scene.dimension)
     frame, (to, at) = system.frame, scene.knots
     found = []
-    for q in trajectory.q:
+    for q in map(system.unit, trajectory.q):
         centres = frame.centres_of(q)
         turns = frame.turns(q)[to - frame.particles]
         found.append(np.concatenate([centres, centres[to] + rotation.rotate(turns, at)]))
@@ -100,7 +100,8 @@ def _faces(scene: Scene, trajectory: Trajectory) -> Iterator[tuple[Array, str]]:
             across = abs(side[flat]) > 0.9 * np.linalg.norm(side)
             centre = np.concatenate(faces)[:, flat].mean()
             colour = SIDE if not across else COLOURS[0] if corners[0, flat] > centre else COLOURS[5]
-            yield pose[:, None, :3] + rotation.rotate(pose[:, None, 3:], corners), colour
+            turns = rotation.normalised(pose[:, None, 3:])
+            yield pose[:, None, :3] + rotation.rotate(turns, corners), colour
 
 
 def projected(x: Array) -> tuple[Array, Array]:

@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dsim.arrays.checks import Array, Numbers, as_array, as_count, as_pairs, as_step, check_indices
-from dsim.rigid import RigidBodies
 from dsim.simulation import Trajectory, simulate
 from dsim.steppers.stepper import Stepper
 from dsim.system import Flow, System
@@ -47,8 +46,11 @@ class Scene:
         edges = as_pairs("edges", self.edges)
         to, at = _knots(self.knots, self.points)
         check_indices("edges", edges, self.points + len(to))
-        shapes = tuple(tuple(as_array("shapes", face, (None, 3)) for face in faces) for faces in self.shapes)
-        bodies = self.system.frame.bodies if isinstance(self.system, RigidBodies) else 0
+        frame: Any = getattr(self.system, "frame", None)
+        bodies, particles = (frame.bodies, frame.particles) if frame else (0, self.points)
+        if np.any(at[to < particles]) or (len(to) and not frame):
+            raise ValueError("knots are places on rigid bodies; particles have no extent")
+        shapes = _shapes(self.shapes)
         if len(shapes) not in (0, bodies):
             raise ValueError(f"shapes must be one for each of the {bodies} rigid bodies, or none; got {len(shapes)}")
         values = {
@@ -83,12 +85,33 @@ class Scene:
         return simulate(stepper or self.stepper, self.system, self.y0, self.h, self.steps)
 
 
-def _knots(knots: tuple[Any, Any], centres: int) -> tuple[NDArray[np.int64], Array]:
-    at = as_array("knots[1]", np.reshape(knots[1], (-1, 3)))
-    to = np.asarray(knots[0], dtype=np.int64)
+def _shapes(shapes: Any) -> tuple[tuple[Array, ...], ...]:
+    try:
+        return tuple(tuple(_face(face) for face in faces) for faces in shapes)
+    except TypeError as error:
+        raise ValueError(f"shapes must be a list of faces for each body; got {shapes!r:.60}") from error
+
+
+def _face(corners: Any) -> Array:
+    if isinstance(corners, tuple):
+        raise ValueError("shapes must be faces without colours, such as dsim.geometry.box_faces([1, 2, 3])")
+    face = as_array("a face of shapes", corners, (None, 3))
+    if len(face) < 3:
+        raise ValueError(f"a face of shapes must have 3 corners or more; got {len(face)}")
+    return face
+
+
+def _knots(knots: Any, centres: int) -> tuple[NDArray[np.int64], Array]:
+    try:
+        to, at = knots
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"knots must be (which centres, where in their frames); got {knots!r:.60}") from error
+    to, at = np.asarray(to), as_array("knots[1]", at if np.size(at) else np.empty((0, 3)), (None, 3))
+    if to.size and not np.issubdtype(to.dtype, np.integer):
+        raise ValueError(f"knots[0] must be whole numbers; got {to.dtype}")
     if to.shape != (len(at),) or np.any((to < 0) | (to >= centres)):
         raise ValueError(f"knots[0] must be a centre for each of the {len(at)} places; got {to.tolist()}")
-    return to, at
+    return to.astype(np.int64), at
 
 
 def at_rest(x: Array) -> Array:

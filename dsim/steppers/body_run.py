@@ -116,7 +116,7 @@ class ByForce:
         self.effect = effect
 
     def add_force(self, t: float, place: Place, v: Array, out: Array) -> None:
-        force = np.asarray(self.effect.force(t, place.poses.T.ravel(), v.T.ravel()))
+        force = np.asarray(self.effect.force(t, place.poses.T.flatten(), v.T.flatten()))
         if force.shape != (out.size,):
             raise ValueError(f"force of {self.effect.name!r} must return shape {(out.size,)}; got {force.shape}")
         out += force.reshape(-1, 6).T

@@ -51,7 +51,7 @@ class _Bodies:
         self.system, self.frame = system, system.frame
         self.size, self.parameter_count = system.size, system.parameter_count
         self._given = y0[: system.width]
-        self._norms = np.sqrt(_squares(system.frame, self._given))  # 1, but for a start that is given otherwise
+        self._norms = rotation.norms(system.frame.turns(self._given))  # 1, but for a start that is given otherwise
         self.start = np.array(self._given)
         self.frame.turns(self.start)[:] /= self._norms
 

@@ -12,7 +12,7 @@ from dsim.steppers.rule import ImplicitRuleStepper
 class ImplicitMidpoint(ImplicitRuleStepper):
     """y_{n+1} = y_n + h phi(t_n + h/2, (y_n + y_{n+1})/2).  Order 2, symplectic, A-stable.
 
-    Bodies turn by the Cayley map, which keeps their angular momentum.
+    Bodies turn by the Cayley map, which keeps the angular momentum of free ones, and that of tied ones to O(h^2).
     Hairer, Lubich, Wanner, Geometric Numerical Integration, II.1.1.
     """
 

@@ -425,20 +425,30 @@ class CurvedLinearization(RuleLinearization):
         return dy1, changes | {_START: dy0}
 
     def pullback_tangent(self, mu: Array, changes: Values, dtheta: Array, theta_bars: tuple[Array, Array]) -> Array:
-        step, dy0 = self.step, changes[_START]
-        length = line_length((step.y0, dy0), (self._whole.theta, dtheta), (mu[:, 0], mu[:, 1]))
-
-        def along(s: float) -> Array:
-            system = self._whole.with_theta(self._whole.theta + s * dtheta)
-            there = self._stepper.step(system, step.t, step.y0 + s * dy0, step.h)
-            bar = np.zeros(len(dtheta))
-            pulled = self._stepper.linearize(system, there).pullback(mu[:, 0] + s * mu[:, 1], bar)
-            return np.append(pulled, bar)
-
+        step, dy0, own = self.step, changes[_START], np.zeros_like(dtheta)
+        for place in self._whole.own.values():
+            own[place] = dtheta[place]
+        rest, mass = dtheta - own, self._whole.relative_change(own)
+        length = line_length((step.y0, dy0), (self._whole.theta, rest), (mu[:, 0], mu[:, 1]))
         here = self.pullback(mu[:, 0], theta_bars[0])
-        change = slope(along, FIRST / length) if length else np.zeros(step.y0.size + len(dtheta))
+        change = np.zeros(step.y0.size + len(dtheta))
+        if length:
+            change += slope(self._along(dy0, rest, mu), FIRST / length)
+        if mass:  # by itself: an inertia of 1e-6 must not be stepped as if it were 1
+            change += slope(self._along(0 * dy0, own, mu * [1.0, 0.0]), FIRST / mass)
         theta_bars[1][:] += change[step.y0.size :]
         return np.stack([here, change[: step.y0.size]], axis=1)
+
+    def _along(self, dy0: Array, dtheta: Array, mu: Array) -> Callable[[float], Array]:
+        """s -> (pullback, its theta_bar) at y0 + s dy0, theta + s dtheta and mu[:, 0] + s mu[:, 1]."""
+
+        def pulled(s: float) -> Array:
+            system = self._whole.with_theta(self._whole.theta + s * dtheta)
+            there = self._stepper.step(system, self.step.t, self.step.y0 + s * dy0, self.step.h)
+            bar = np.zeros(len(dtheta))
+            return np.append(self._stepper.linearize(system, there).pullback(mu[:, 0] + s * mu[:, 1], bar), bar)
+
+        return pulled
 
 
 _START: Symbol = ("start", 0, 0)

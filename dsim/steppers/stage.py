@@ -45,7 +45,9 @@ class StageProblem:
         moved = abs(gamma) * np.abs(dk).max()
         rounding = 0.0
         if len(self.base) == 2:  # velocities below the round-off of positions, eps |q| / gamma
-            rounding = 4 * np.finfo(float).eps * np.abs(self.base[0]).max() / abs(gamma)
+            start = getattr(self.system, "start", self.base[0])  # from which the positions of bodies count
+            far = max(np.abs(self.base[0]).max(), np.abs(start).max())
+            rounding = 4 * np.finfo(float).eps * far / abs(gamma)
         return 0.0 if moved <= rounding else float(moved / max(largest, np.finfo(float).tiny))
 
     def matrix(self, k: Array) -> Any:

@@ -15,11 +15,11 @@ from dsim.system import System
 
 @dataclass(frozen=True)
 class PayBack:
-    """One effect left out: seconds with it over seconds without, and how far the final positions move."""
+    """One effect left out: seconds with it over seconds without, and how far the positions then go astray."""
 
     effect: str
     cost: float  # median paired ratio of run times, with / without
-    change: float  # largest change of a final position relative to the largest displacement; inf: the run fails
+    change: float  # largest change of a position in the run, relative to the largest displacement; inf: it fails
     forces: int  # force evaluations with it, less those without
 
 
@@ -34,7 +34,7 @@ def pay_back(scene: Any, rounds: int = 5) -> tuple[PayBack, ...]:
         without = scene.system.without(effect.name)
         run = _run(scene, without)
         failed = run.status is not Status.CONVERGED
-        change = np.inf if failed else float(np.abs(run.q[-1] - whole.q[-1]).max()) / moved
+        change = np.inf if failed else float(np.abs(run.q - whole.q).max()) / moved
         ratios = [_ratio(scene, without, swap=number % 2 == 1) for number in range(rounds)]
         rows.append(PayBack(effect.name, float(np.median(ratios)), change, whole.counters.forces - run.counters.forces))
     return tuple(rows)
