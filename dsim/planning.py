@@ -229,7 +229,7 @@ def plan(
     >>> from dsim.effects import Gravity
     >>> from dsim.steppers import SymplecticEuler
     >>> print(plan(System([1.0], Gravity([0.0, -9.8]), 2), SymplecticEuler(), [0, 0, 1, 1], h=0.1))
-    plan: 1 points, SymplecticEuler, h = 0.1 s
+    plan: 1 point, SymplecticEuler, h = 0.1 s
      on    gravity                1 calls a step, in place
      off   Jacobians, factorization explicit stepper (choose an implicit one)
      off   tape                   no gradient asked for (want=('gradient',))

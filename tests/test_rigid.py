@@ -243,7 +243,7 @@ def tied_scene():
     scene = compose(net, bodies, effects=[tie])
     y = compose_states([net, bodies], [
         np.array([0, 0, 0, 0.4, 0, 0, 0.8, 0, 0, *np.zeros(9)]),
-        bodies.state([[0.9, 0, -0.3], [2, 0, 0]], RNG.normal(size=(2, 4)), 0.1, RNG.normal(size=(2, 3))),
+        bodies.state([[0.9, 0, -0.3], [2, 0, 0]], RNG.normal(size=(2, 4)), [0.1, 0.1, 0.1], RNG.normal(size=(2, 3))),
     ])  # fmt: skip
     return net, bodies, scene, y
 
@@ -269,7 +269,7 @@ def test_parts_that_are_not_tied_move_as_alone():
     scene = compose(net, bodies)
     states = [
         np.array([0, 0, 0, 0.4, 0, 0, 0.8, 0, 0, *np.zeros(9)]),
-        bodies.state([[1, 0, 0], [2, 0, 0]], None, 0, 1.0),
+        bodies.state([[1, 0, 0], [2, 0, 0]], None, 0, [1.0, 1.0, 1.0]),
     ]
     whole = simulate(SymplecticEuler(), scene, compose_states([net, bodies], states), 0.01, 40)
     alone = [simulate(SymplecticEuler(), s, y, 0.01, 40).last for s, y in zip((net, bodies), states, strict=True)]
@@ -317,8 +317,7 @@ def test_bad_states_steppers_and_parts_are_refused():
         (lambda: compose(compose(body, System([1.0])), body), "composed already"),
         (lambda: Attached(Gravity([0, 0, -1]), [0], np.zeros((1, 3))), "acts on masses"),
         (lambda: Attached(Springs([(0, 1)], 1, 1), [0.5, 1], np.zeros((2, 3))), "to must be whole numbers"),
-        (lambda: System([1.0], [Attached(Springs([(0, 1)], 1, 1), [0, 1], np.zeros((2, 3)))]).force(0, None, None),
-         "needs RigidBodies"),
+        (lambda: System([1.0], [Attached(Springs([(0, 1)], 1, 1), [0, 1], np.zeros((2, 3)))]), "RigidBodies"),
         (lambda: AngularDrag(-1.0), "coefficient must be >= 0"),
         (lambda: TorqueActuation(np.zeros((2, 3, 3)), 0.1, "moon"), 'frame must be "world" or "body"'),
     ]  # fmt: skip

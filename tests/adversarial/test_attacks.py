@@ -497,3 +497,21 @@ def test_a_sandbox_that_does_not_hold_is_refused(
         pytest.skip("this machine has no 8 GB to give")
     with pytest.raises(SandboxError, match=statement):
         sandbox.check_sandbox()
+
+
+@pytest.mark.parametrize("times, proven", [(1, True), (2, False)])
+def test_a_probe_that_dies_is_sent_once_more(times: int, proven: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    answers = [(["there is no network (your code ended its process)"], True)] * times + [([], False)]
+    monkeypatch.setattr("dsim.grading.sandbox._unproven", lambda: answers.pop(0))
+    if proven:
+        check_sandbox()
+    else:
+        with pytest.raises(SandboxError, match="there is no network"):
+            check_sandbox()
+
+
+def test_a_probe_that_is_refuted_is_not_sent_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    answers = [(["there is no network"], False)]
+    monkeypatch.setattr("dsim.grading.sandbox._unproven", lambda: answers.pop(0))
+    with pytest.raises(SandboxError, match="there is no network"):
+        check_sandbox()
