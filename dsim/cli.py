@@ -316,6 +316,7 @@ def accuracy(
 def optimise(
     name: Annotated[str, typer.Argument(help="A showcase; without one they are listed.")] = "",
     full: Annotated[bool, typer.Option("--full", help="The large version: up to half a minute.")] = False,
+    listed: Annotated[bool, typer.Option("--list", help="List the showcases.")] = False,
     to: Annotated[
         Path | None,
         typer.Option("--to", help="Write pictures (PNG, SVG) there; by default no file.", metavar="DIR"),
@@ -339,7 +340,7 @@ def optimise(
     from dsim.report.terminal import console
     from dsim.studies.showcases.model import select
 
-    if not name:
+    if listed or not name:
         console().print(report.listing())
         return
     try:

@@ -131,12 +131,14 @@ def weighed(result: Tumbling) -> Figure:
     left.set_yticks(places, names)
     left.invert_yaxis()
     label(left, "error (kg m², rad/s)", "number", "from one film, marks seen to 1 mm")
-    left.legend(loc="upper left", fontsize=9)
+    left.legend(loc="upper center", bbox_to_anchor=(0.5, -0.14), fontsize=9)
     for row, (words, one) in enumerate((("pushed by a known torque", result.noisy), ("free", result.free))):
         known, top = np.isfinite(one.bars), 10 * float(result.noisy.bars.max())
         right.semilogy(places[known], one.bars[known], **{**look(row), "linestyle": ""}, label=words)
         if not known.all():
-            right.plot(places[~known], np.full((~known).sum(), top), "^", color=look(row)["color"], label="no end")
+            right.plot(
+                places[~known], np.full((~known).sum(), top), "^", color=look(row)["color"], label="no end: unknown"
+            )
     right.set_xticks(places, names, fontsize=9)
     label(right, "number", "half a bar", "what a free body does not tell: its size")
     right.legend(fontsize=9)

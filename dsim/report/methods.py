@@ -16,7 +16,12 @@ from dsim.studies.gradient_check import check_gradient
 from dsim.studies.newton_rate import rate, solve_step
 from dsim.studies.scene_gradients import check_scene, knobs
 
-SMALL = {"chain": {"links": 6}, "cloth": {"n": 4}, "soft_body": {"floors": 3}}  # sizes for the gradient checks
+SMALL = {
+    "chain": {"links": 6},
+    "cloth": {"n": 4},
+    "soft_body": {"floors": 3},
+    "sign": {"links": 1},
+}  # sizes for the gradient checks
 
 
 def orders(progress: Progress) -> Section:
