@@ -550,6 +550,7 @@ def _bound(effect: Any, mass: Array, dimension: int) -> Effect:
 
 
 def as_effects(effects: Any) -> tuple[Effect, ...]:
+    """One effect or several, checked: each has a force and a name of its own.  Raises ValueError."""
     effects = tuple(effects) if isinstance(effects, Iterable) else (effects,)
     for effect in effects:
         if not isinstance(effect, Effect) or isinstance(effect, type):
@@ -566,6 +567,7 @@ def as_effects(effects: Any) -> tuple[Effect, ...]:
 
 
 def as_fixed(fixed: Sequence[int] | NDArray[np.int64], count: int) -> tuple[int, ...]:
+    """Sorted indices of pinned points among `count`.  Raises ValueError for one that is none."""
     try:
         indices = np.atleast_1d(fixed) if np.size(fixed) else np.empty(0, dtype=int)
     except ValueError as error:  # rows of different lengths
@@ -580,6 +582,7 @@ def as_fixed(fixed: Sequence[int] | NDArray[np.int64], count: int) -> tuple[int,
 
 
 def layout_of(owned: dict[str, slice], effects: tuple[Effect, ...]) -> tuple[tuple[_Parameter, ...], ...]:
+    """Where every parameter of every effect lies in theta, after the parameters of the system itself."""
     layout, start = [], max(place.stop for place in owned.values())
     for effect in effects:
         entries, own = [], 0
