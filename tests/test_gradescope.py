@@ -253,7 +253,7 @@ def test_an_attack_on_the_weaker_isolation(name: str, weaker: Container) -> None
     assert status == 0 and found["score"] == score, (said, found)
     assert why in " | ".join(test["output"] for test in found["tests"])
     assert "weaker isolation" in found["output"] and found["extra_data"] == {
-        "submission": "me", "sandboxed": False, "isolation": "another user"}  # fmt: skip
+        "submission": "me", "sandboxed": False, "read": True, "isolation": "another user"}  # fmt: skip
     assert "the submission runs as another user" in said
     assert not [
         line for line in everything() if FIRST_USER <= line[0] < FIRST_USER + 4096 and str(weaker.home) in line[1]

@@ -374,6 +374,15 @@ def test_the_class_and_a_name_that_is_a_formula(tmp_path: Path) -> None:
     )
 
 
+def test_files_that_cannot_be_read_are_counted(tmp_path: Path) -> None:
+    (tmp_path / "in").mkdir()
+    (tmp_path / "in" / "ann.py").write_text(SOLUTION)
+    (tmp_path / "in" / "bob.ipynb").write_text("no notebook")
+    grading.grade(ASSIGNMENT, grading.submissions_in(tmp_path / "in"), tmp_path / "out", sandboxed=False)
+    assert "1 of them could not be read" in (tmp_path / "out" / "summary.md").read_text()
+    assert '"ann",7' in (tmp_path / "out" / "grades.csv").read_text()  # quoted: ";" parts no name
+
+
 # A class
 
 
@@ -397,6 +406,9 @@ def test_a_class_is_graded(sandboxed: bool, tmp_path: Path) -> None:
     assert (tmp_path / "out" / ".dsim-secret").stat().st_mode & 0o077 == 0
     assert ("do not trust" in (tmp_path / "out" / "ann" / "feedback.md").read_text()) is not sandboxed
     rubric = items.rubric(ASSIGNMENT / "rubric.toml")
+    summary = (tmp_path / "out" / "summary.md").read_text()
+    assert ("4 of them graded WITHOUT a sandbox" in summary) is not sandboxed
+    assert "1 of them could not be read" in summary  # dee's
     assert results.read(tmp_path / "out" / "ann", rubric) is not None
     in_the_sandbox = results.read(tmp_path / "out" / "ann", rubric, sandboxed=True)
     assert (in_the_sandbox is not None) is sandboxed  # without one it is graded again when there is one

@@ -105,8 +105,11 @@ def grade(
     for name in _graded(tasks, jobs) if isinstance(jobs, int) else jobs.graded(tasks, sandboxed):
         done += 1
         say(done, len(submissions), name)
-    rows = [row for path in submissions if (row := results.read(to / results.folder_of(path), items)) is not None]
-    results.write_class(rows, items, to)
+    graded = [
+        (folder, results.read(folder, items)) for path in submissions for folder in [to / results.folder_of(path)]
+    ]
+    rows = [row for _, row in graded if row is not None]
+    results.write_class(rows, items, to, results.remarks([folder for folder, row in graded if row is not None]))
     return [dict(row) for row in rows]
 
 

@@ -59,8 +59,9 @@ def as_gradescope(graded: Graded) -> dict[str, Any]:
         for outcome in graded.outcomes
     ]
     loud = "" if graded.sandboxed else "Graded WITHOUT a sandbox: do not trust this grade. "
+    extra = {"submission": graded.name, "sandboxed": graded.sandboxed, "read": not graded.refused}
     return {"score": graded.score, "max_score": graded.most, "output": loud + graded.refused, "tests": tests,
-            "extra_data": {"submission": graded.name, "sandboxed": graded.sandboxed}}  # fmt: skip
+            "extra_data": extra}  # fmt: skip
 
 
 def told(outcome: Outcome, why: Callable[[str], str] = str) -> str:
@@ -168,16 +169,27 @@ def read(directory: Path, items: Sequence[Item], sandboxed: bool = False) -> Map
             **scores}  # fmt: skip
 
 
-def write_class(rows: Sequence[Mapping[str, Any]], items: Sequence[Item], directory: Path) -> None:
-    """grades.csv, and the items most often lost."""
+def remarks(directories: Sequence[Path]) -> list[str]:
+    """What a class must know of its results: files that could not be read, grades that are not to be trusted."""
+    found = [json.loads((path / RESULTS).read_bytes())["extra_data"] for path in directories]
+    unread = sum(not extra.get("read", True) for extra in found)
+    loose = sum(not extra["sandboxed"] for extra in found)
+    lines = [f"{unread} of them could not be read; feedback.md says why."] if unread else []
+    return lines + ([f"{loose} of them graded WITHOUT a sandbox: do not trust these."] if loose else [])
+
+
+def write_class(
+    rows: Sequence[Mapping[str, Any]], items: Sequence[Item], directory: Path, told: Sequence[str] = ()
+) -> None:
+    """grades.csv, and the items most often lost.  told: remarks, a line each."""
     columns = ["submission", "score", "max_score", *(item.id for item in items)]
     text = io.StringIO()
-    table = csv.DictWriter(text, columns, lineterminator="\n")
+    table = csv.DictWriter(text, columns, lineterminator="\n", quoting=csv.QUOTE_NONNUMERIC)  # also for ";" readers
     table.writeheader()
     for row in sorted(rows, key=lambda row: str(row["submission"])):
         table.writerow({**row, "submission": _harmless(str(row["submission"]))})
     write_atomically(directory / GRADES, text.getvalue().encode())
-    write_atomically(directory / SUMMARY, summary(rows, items).encode())
+    write_atomically(directory / SUMMARY, summary(rows, items, told).encode())
 
 
 def _harmless(name: str) -> str:
@@ -185,7 +197,7 @@ def _harmless(name: str) -> str:
     return f"'{name}" if name[:1] in "=+-@\t\r" else name
 
 
-def summary(rows: Sequence[Mapping[str, Any]], items: Sequence[Item]) -> str:
+def summary(rows: Sequence[Mapping[str, Any]], items: Sequence[Item], told: Sequence[str] = ()) -> str:
     """How the class did: scores in ten bands, then the items most often lost first."""
     lost = Counter({item.id: sum(1 for row in rows if row[item.id] < item.points) for item in items})
     titles = {item.id: item.title for item in items}
@@ -193,7 +205,7 @@ def summary(rows: Sequence[Mapping[str, Any]], items: Sequence[Item]) -> str:
     most = sum(item.points for item in items)
     middle = median(scores) if scores else 0.0
     count = f"{len(rows)} submission{'s' * (len(rows) != 1)}"
-    lines = [f"# {count}, median {middle:g} of {most}", "", *_bands(scores, most), "",
+    lines = [f"# {count}, median {middle:g} of {most}", "", *(f"{line}\n" for line in told), *_bands(scores, most), "",
              "| item | lost by | of |", "|---|---|---|"]  # fmt: skip
     lines += [f"| {titles[name]} | {count} | {len(rows)} |" for name, count in lost.most_common()]
     return "\n".join(lines) + "\n"

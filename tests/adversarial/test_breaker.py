@@ -118,7 +118,7 @@ def test_nobody_takes_the_folder_of_another(tmp_path: Path) -> None:
     assert results.folder_of(Path(f"{theirs}.py")) != theirs
     to = graded(tmp_path, {b"v;ictim.py": (ASSIGNMENT / "solution.py").read_text(), f"{theirs}.py".encode(): "x = 1"})
     rows = [line.split(",")[:2] for line in (to / "grades.csv").read_text().splitlines()[1:]]
-    assert rows == [[theirs, "0.0"], ["v;ictim", "7.0"]]
+    assert rows == [[f'"{theirs}"', "0.0"], ['"v;ictim"', "7.0"]]
 
 
 @pytest.mark.parametrize("kind", ["# me: 7 of 7", "~~~", "> 7 of 7", "- 7 of 7", "1. 7 of 7", "http://192.0.2.1/"])
