@@ -287,9 +287,8 @@ def accuracy(
     """What does accuracy cost?  Errors of states and gradients over seconds, for every stepper and SciPy's solvers.
 
     The problems: projectile, pendulum, kepler, chain, two-rates, cloth, and of rigid bodies free-top and heavy-top.
-    `gradients` asks what a gradient costs by
-    finite differences, complex steps, sensitivities and the adjoint for 1 to 10,000 parameters, and whether it
-    converges like the state.
+    `gradients` asks what a gradient costs by finite differences, complex steps, sensitivities and the adjoint for 1 to
+    10,000 parameters, and whether it converges like the state.
 
     Writes a picture (PNG, SVG) a problem, `table.txt` and `accuracy.json`. An interrupted run is continued by the same
     command. Exit code 0: done. 1: a check of `gradients` is red. 2: bad usage, interrupted.

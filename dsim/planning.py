@@ -101,8 +101,8 @@ class Plan:
             yield Line("on", "flow", f"{self.predicted.forces} evaluations a step")
             return
         each = "at least " if self.implicit else ""
+        on_rows = self.rows or body_run.applies(self.stepper, self.system)
         for effect in self.system.effects:
-            on_rows = self.rows or body_run.applies(self.stepper, self.system)
             where = "in place" if on_rows and has_rows(effect) else "by its force"
             yield Line("on", effect.name, f"{each}{self.predicted.forces} calls a step, {where}")
             if getattr(effect, "differenced", False):

@@ -131,8 +131,7 @@ def test_a_place_is_reached_only_where_a_force_asks(monkeypatch):
         assert len(reached) == count, (stepper, extra)
 
 
-def test_no_matrix_and_no_quaternion_per_body(monkeypatch):
-    """Calls of NumPy's kernels do not grow with the number of bodies."""
+def test_attitudes_are_turned_once_a_step_however_many_they_are(monkeypatch):
     counts = []
     for bodies in (2, 200):
         calls, right = [], rotation.product

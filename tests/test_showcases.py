@@ -348,3 +348,8 @@ def test_the_section_of_the_report(monkeypatch: pytest.MonkeyPatch) -> None:
     section = report.showcases(told.append)
     assert told == ["stub", "half"] and len(section.checks) == len(section.failed) == 1
     assert len(section.pictures) == 2 and "showcases" in [job.key for job in jobs()]
+
+
+def test_the_list_is_what_no_name_shows() -> None:
+    bare, listed = CliRunner().invoke(app, ["optimise"]), CliRunner().invoke(app, ["optimise", "--list"])
+    assert listed.exit_code == 0 and listed.output == bare.output and "tumbling" in listed.output

@@ -88,7 +88,7 @@ def _points(scene: Scene, trajectory: Trajectory) -> Array:
 
 
 def _faces(scene: Scene, trajectory: Trajectory) -> Iterator[tuple[Array, str]]:
-    """The faces of all bodies in the world.  The side that a body turns to +z is blue, that to -z orange."""
+    """The faces of all bodies in the world: across its thinnest direction a body is blue and orange."""
     if not isinstance(scene.system, RigidBodies):
         return
     split = 3 * scene.system.frame.particles

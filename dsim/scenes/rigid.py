@@ -8,11 +8,16 @@ from numpy.typing import NDArray
 from dsim.arrays.checks import Array, as_count
 from dsim.arrays.rotation import exponential, rotate
 from dsim.effects import AngularDrag, Attached, Drag, Gravity, SpringDamping, Springs
-from dsim.geometry import box, box_faces, racket_faces
+from dsim.geometry import MassProperties, box, box_faces, racket_faces
 from dsim.rigid import RigidBodies, compose, compose_states
 from dsim.scenes.scene import Scene, at_rest
 from dsim.steppers import ImplicitMidpoint
 from dsim.system import System
+
+
+def racket_properties() -> MassProperties:
+    """0.3 kg: an elliptic head, as a flat box of its moments, and a handle; about the common centre of mass."""
+    return box([0.30, 0.21, 0.02], 0.17).moved([0.15, 0.0, 0.0]) + box([0.30, 0.04, 0.03], 0.13).moved([-0.19, 0, 0])
 
 
 def racket(spin: float = 6.0, wobble: float = 0.02, h: float = 0.015, steps: int = 350) -> Scene:
@@ -20,7 +25,7 @@ def racket(spin: float = 6.0, wobble: float = 0.02, h: float = 0.015, steps: int
 
     spin rad/s about the middle axis, wobble rad/s about the handle's, the axis of the smallest moment.
     """
-    whole = box([0.30, 0.21, 0.02], 0.17).moved([0.15, 0.0, 0.0]) + box([0.30, 0.04, 0.03], 0.13).moved([-0.19, 0, 0])
+    whole = racket_properties()
     system = RigidBodies([whole.mass], whole.inertia)
     y0 = system.state([0.0, 0.0, 0.0], spin=[wobble, spin, 0.0])
 

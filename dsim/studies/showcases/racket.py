@@ -16,9 +16,9 @@ from dsim.arrays import rotation
 from dsim.arrays.checks import Array
 from dsim.effects import AngularDrag, Drag, Gravity
 from dsim.effects.at_points import Attached
-from dsim.geometry import inertia
 from dsim.gradients import Optimisation, ReducedObjective, Variables, optimise
 from dsim.rigid import RigidBodies
+from dsim.scenes.rigid import racket_properties
 from dsim.simulation import Trajectory, simulate
 from dsim.steppers import RK4, ImplicitMidpoint
 from dsim.studies.check import Check
@@ -31,12 +31,6 @@ PLAIN = np.array([0.4, 2 * np.pi / FLIGHT, 0.0])  # rad/s: one turn about the mi
 GUESS = np.array([3.0, 2 * np.pi / FLIGHT, 0.0])  # the same with some twist
 UNIT = 0.5  # rad/s, in which the spin is turned: BFGS begins with steps of the gradient's size
 TOLERANCE = 0.5  # degrees
-
-
-def moments() -> inertia.MassProperties:
-    """0.3 kg: an elliptic head, as a flat box of its moments, and a handle; about the common centre of mass."""
-    head = inertia.box([0.30, 0.21, 0.02], 0.17).moved([0.15, 0.0, 0.0])
-    return head + inertia.box([0.30, 0.04, 0.03], 0.13).moved([-0.19, 0.0, 0.0])
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,7 +81,7 @@ class Toss:
 
 def toss(steps: int) -> Toss:
     """Thrown up so that the hand catches it after FLIGHT seconds; air holds back the head and every turn."""
-    racket = moments()
+    racket = racket_properties()
     air = Attached(Drag(0.02), [0], [[0.15, 0.0, 0.0]])
     effects = [Gravity([0.0, 0.0, -G]), AngularDrag(2e-4), air]
     system = RigidBodies([racket.mass], racket.inertia[None], effects)
