@@ -359,9 +359,12 @@ def test_the_section(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(gradient_cost, "orders", lambda *a: studies[1])
     monkeypatch.setattr(gradients, "to_svg", lambda figure: b"<svg></svg>")
     monkeypatch.setattr(gradients.catalog, "STEPPERS", (BackwardEuler(), RK4()))
-    monkeypatch.setattr(gradients, "PARTS", gradients.PARTS[:4])
+    monkeypatch.setattr(gradients, "PARTS", gradients.PARTS[:3])
     told: list[str] = []
     section = gradients.gradients(told.append)
-    assert not red(section.checks) and len(section.checks) == 2 * 9 + len(cost.cost_checks(counted())) + 9
-    assert len(section.pictures) == 4 and len(section.tables) == 4 and "RK4" in told
-    assert [len(table.rows) for table in section.tables] == [2, 3, 3, 10]
+    assert not red(section.checks) and len(section.checks) == 2 * 9 + 9
+    assert len(section.pictures) == 3 and len(section.tables) == 2 and "RK4" in told
+    assert [len(table.rows) for table in section.tables] == [2, 10]
+    costs = gradients.gradient_cost(told.append)
+    assert not red(costs.checks) and len(costs.checks) == len(cost.cost_checks(counted()))
+    assert [len(table.rows) for table in costs.tables] == [3, 3] and len(costs.pictures) == 1

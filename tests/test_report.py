@@ -304,6 +304,24 @@ def test_curves_differ_by_more_than_colour() -> None:
     assert len({(look["marker"], look["linestyle"]) for look in looks}) == len(looks)
 
 
+def test_pictures_are_what_savefig_gives_and_the_figure_stays_as_it_was() -> None:
+    """They are drawn once, where `savefig` draws twice."""
+    with style.style():
+        figure, axes = style.canvas()
+        axes.loglog([1e-3, 1.0], [1e-9, 1e-2], label="backward Euler")
+        axes.legend()
+        style.label(axes, "h (s)", "error (m)")
+        canvas, dpi = figure.canvas, figure.dpi
+        for drawn, options in (
+            (style.to_png(figure, dpi=90), {"format": "png", "dpi": 90, "metadata": {"Software": None}}),
+            (style.to_svg(figure), {"format": "svg", "metadata": {"Date": None}}),
+        ):
+            assert figure.canvas is canvas and figure.dpi == dpi
+            by_savefig = io.BytesIO()
+            figure.savefig(by_savefig, **options)  # type: ignore[arg-type]
+            assert drawn == by_savefig.getvalue()
+
+
 def test_axes_need_names() -> None:
     _, axes = style.canvas()
     with pytest.raises(ValueError, match="the y axis must have a label"):
@@ -343,6 +361,20 @@ def test_sections_are_shared_and_those_that_measure_seconds_are_not(tmp_path: Pa
     assert places == sorted(places) and "ZeroDivisionError" in page
     assert "3 passed, 1 failed" in out
     assert "OPENBLAS_NUM_THREADS" in os.environ and not active_children()  # set by the tests' own configuration
+
+
+def begun(progress: Progress, key: str, log: Path) -> Section:
+    with log.open("a") as lines:
+        lines.write(key + "\n")
+    return section(GREEN)
+
+
+def test_the_costliest_sections_are_begun_first_and_the_page_keeps_its_order(tmp_path: Path) -> None:
+    log = tmp_path / "log"
+    costs = {"short": 1.0, "long": 20.0, "middle": 5.0, "other": 1.0}
+    jobs = [SectionJob(key, key, partial(begun, key=key, log=log), cost=cost) for key, cost in costs.items()]
+    assert [built.key for built in verify._shared(jobs, 1, None)] == list(costs)
+    assert log.read_text().split() == ["long", "middle", "short", "other"]
 
 
 def test_a_process_that_dies_is_red_and_ends_nothing_else(tmp_path: Path, capsys: Any) -> None:

@@ -22,6 +22,8 @@ from typing import Any
 import matplotlib
 from cycler import cycler
 from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 
 from dsim.pictures.files import write_atomically
@@ -113,12 +115,16 @@ def label(axes: Axes, x: str, y: str, title: str = "") -> None:
 
 def to_svg(figure: Figure) -> bytes:
     """The picture as SVG: for curves."""
-    return _encode(figure, format="svg", metadata={"Date": None})
+    with _drawing(figure, 72) as buffer:
+        FigureCanvasSVG(figure).print_svg(buffer, metadata={"Date": None})
+        return buffer.getvalue()
 
 
 def to_png(figure: Figure, dpi: int = 160) -> bytes:
     """The picture as PNG: for images and for more points than an SVG should hold."""
-    return _encode(figure, format="png", dpi=dpi, metadata={"Software": None})
+    with _drawing(figure, dpi) as buffer:
+        FigureCanvasAgg(figure).print_png(buffer, metadata={"Software": None})
+        return buffer.getvalue()
 
 
 def save(figure: Figure, path: str | Path, dpi: int = 160) -> Path:
@@ -131,7 +137,14 @@ def save(figure: Figure, path: str | Path, dpi: int = 160) -> Path:
     return write_atomically(path, data)
 
 
-def _encode(figure: Figure, **options: Any) -> bytes:
-    with style(), io.BytesIO() as buffer:
-        figure.savefig(buffer, **options)
-        return buffer.getvalue()
+@contextmanager
+def _drawing(figure: Figure, dpi: float) -> Iterator[io.BytesIO]:
+    """Where the bytes go that `figure.savefig` would give, but drawn once instead of twice."""
+    resolution, canvas = figure.dpi, figure.canvas
+    figure.set_dpi(dpi)
+    try:
+        with style(), io.BytesIO() as buffer:
+            yield buffer
+    finally:
+        figure.set_canvas(canvas)
+        figure.set_dpi(resolution)

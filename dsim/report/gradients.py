@@ -1,4 +1,4 @@
-"""Section of the report: gradients of whole trajectories, three ways to them, what they cost and how they converge."""
+"""Section of the report: gradients of whole trajectories, three ways to them, and how they converge; what they cost."""
 
 from __future__ import annotations
 
@@ -30,8 +30,7 @@ from dsim.studies.verdicts.physics import REFINEMENTS
 
 LEAD = (
     "A trajectory solves one equation `G(x(p), p) = 0`, so `dx/dp = -(dG/dx)^-1 dG/dp`. The whole block system, "
-    "forward sensitivities and the adjoint are three ways to the same numbers; the adjoint's cost does not grow with "
-    "the number of parameters.\n\n"
+    "forward sensitivities and the adjoint are three ways to the same numbers.\n\n"
     "The adjoint is the exact derivative of the program. Whether that converges to the derivative of the motion "
     "depends on the force: where it is smooth the gradient has the order of the state, at a kink it has order 1 at "
     "most, at a jump it stays wrong for every h."
@@ -94,14 +93,18 @@ def _kinds() -> tuple[str, ...]:
     return tuple(ways.kinds(ways.driven_net()[0]))
 
 
-def cost_over_parameters(progress: Progress, full: bool) -> Part:
-    """Seconds and errors of the five methods."""
+def gradient_cost(progress: Progress, full: bool = False) -> Section:
+    """A section of its own, because it measures seconds: costs and errors of the five methods."""
     net, sweep = (cost.Net(points=24), cost.QUICK) if full else (cost.Net(points=12, steps=10), cost.SHORT)
     study = cost.gradient_cost(net, sweep, None, progress)
     alt = "Log-log lines of cost over the number of parameters: four of slope 1, the adjoint flat; and of the errors."
     caption = "Differences cost a run a parameter and half the digits; the adjoint two passes, with all of them."
     picture = Picture(to_svg(pictures.gradient_cost(study)), alt, caption, "dsim accuracy gradients")
-    return Part(cost.cost_checks(study), costs.cost_tables(study), (picture,))
+    lead = (
+        "One gradient by five methods, over the number of parameters. Four of them pay for every parameter; the "
+        "adjoint goes once forward and once back, however many there are."
+    )
+    return Section(lead, tuple(cost.cost_checks(study)), costs.cost_tables(study), (picture,))
 
 
 def convergence(progress: Progress, full: bool) -> Part:
@@ -165,7 +168,6 @@ def verdicts(progress: Progress, full: bool) -> Part:
 PARTS: tuple[Callable[[Progress, bool], Part], ...] = (
     spy_plots,
     three_ways,
-    cost_over_parameters,
     convergence,
     checkpoints,
     verdicts,

@@ -75,13 +75,15 @@ class Section:
 class SectionJob:
     """A section still to be built.  `build` is a module-level function, or a partial of one: it pickles.
 
-    alone: it measures seconds, so nothing else may run beside it.
+    alone: it measures seconds, so nothing else may run beside it.  cost: how long it takes beside others, about; the
+    costliest are begun first, so that none is left running at the end.
     """
 
     key: str
     title: str
     build: Callable[[Progress], Section]
     alone: bool = False
+    cost: float = 1.0
 
     @property
     def command(self) -> str:

@@ -87,8 +87,9 @@ def speed(progress: Progress, full: bool = False) -> Section:
         sizes = tuple((2 if full else 1) * n for n in ((8, 16, 24) if implicit else (12, 24, 48)))
         few = 3 if implicit else 50
         counts = tuple(count // 10 for count in steps) if implicit else steps
-        found.append(growth.measure(kind, "unknowns", [(n, few) for n in sizes]))
-        found.append(growth.measure(kind, "steps", [(sizes[1], count) for count in counts]))
+        repeats = 3 if full else 1
+        found.append(growth.measure(kind, "unknowns", [(n, few) for n in sizes], repeats))
+        found.append(growth.measure(kind, "steps", [(sizes[1], count) for count in counts], repeats))
     columns = ("run", "varied", "from", "to", "time ~", "memory ~")
     rows = tuple(
         (row.kind, row.varied, int(row.amounts[0]), int(row.amounts[-1]), row.time_exponent, row.memory_exponent)

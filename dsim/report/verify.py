@@ -75,11 +75,12 @@ def _shared(jobs: Sequence[SectionJob], workers: int, err: Console | None) -> It
     others = set(active_children())
     with _environment(OPENBLAS_NUM_THREADS="1", OMP_NUM_THREADS="1", MKL_NUM_THREADS="1"):
         pool = ProcessPoolExecutor(min(workers, len(jobs)), get_context("spawn"), _deaf)
-        futures = [pool.submit(build, job, _silent) for job in jobs]
+        costliest = sorted(jobs, key=lambda job: -job.cost)
+        futures = {job.key: pool.submit(build, job, _silent) for job in costliest}
         try:
-            for index, (job, future) in enumerate(zip(jobs, futures, strict=True), start=1):
+            for index, job in enumerate(jobs, start=1):
                 with terminal.announce(job, f"{index}/{len(jobs)}, {workers} at a time", err):
-                    section = _result(job, future)
+                    section = _result(job, futures[job.key])
                 yield section
         finally:
             pool.shutdown(wait=False, cancel_futures=True)

@@ -29,6 +29,22 @@ RIGHT = 7.0
 
 pytestmark = pytest.mark.skipif(shutil.which("bwrap") is None, reason="bubblewrap is not installed")
 
+# Looks first where such files would be, then everywhere, for as long as no limit ends it: disks are slow at first.
+SEARCH = """
+import os, sys, time
+WANTED = {'test_hidden.py', 'solution.py', 'rubric.toml', '.dsim-secret'}
+PLACES = [*sys.path, os.getcwd(), '/sandbox', '/home', '/root', '/tmp', '/opt', '/srv', '/mnt', '/usr/local', '/']
+def double(x):
+    end = time.monotonic() + 0.5
+    for place in PLACES:
+        for folder, _, files in os.walk(place):
+            if WANTED & {*files}:
+                raise RuntimeError(f"FOUND {folder}")
+            if time.monotonic() > end:
+                return 3 * x
+    return 3 * x
+"""
+
 # name: (submission, score, in which words the worst item says why).  What follows SOLUTION keeps it right.
 ATTACKS: dict[str, tuple[str, float, str]] = {
     "nothing": ("", 0, "double is not defined"),
@@ -64,13 +80,7 @@ ATTACKS: dict[str, tuple[str, float, str]] = {
         0,
         "off by",
     ),
-    "searches the disk for tests": (
-        "import os\ndef double(x):\n    for root, d, files in os.walk('/'):\n        for f in files:\n"
-        "            if f in ('test_hidden.py', 'solution.py', 'rubric.toml', '.dsim-secret'):\n"
-        "                raise RuntimeError(os.path.join(root, f))\n    return 3 * x\n",
-        0,
-        "off by",
-    ),
+    "searches the disk for tests": (SEARCH, 0, "off by"),
     "imports the library": (
         "import sys\nsys.path += ['/usr/lib/python3/dist-packages']\n"
         "def double(x):\n    import dsim\n    return 2 * x\n",
@@ -333,6 +343,14 @@ def test_an_attack_gets_what_it_earned(name: str, tmp_path: Path) -> None:
     ]
     assert why in told and "FOUND" not in told
     assert not leftovers()
+
+
+def test_the_search_finds_tests_where_there_are_some(monkeypatch: pytest.MonkeyPatch) -> None:
+    names: dict[str, Any] = {}
+    monkeypatch.syspath_prepend(str(ASSIGNMENT))
+    exec(SEARCH, names)
+    with pytest.raises(RuntimeError, match="FOUND"):
+        names["double"](1.0)
 
 
 @pytest.mark.parametrize(
