@@ -217,8 +217,10 @@ def ask(pipe: Pipe, page: Path, script: str, query: str = "") -> Any:
         return evaluate(script)
 
 
-def visit(pipe: Pipe, page: Path, width: int = 1200, height: int = 900, scheme: str = "light") -> Visit:
-    """Open `page` in a new tab of the given size and colour scheme, and look."""
+def visit(
+    pipe: Pipe, page: Path, width: int = 1200, height: int = 900, scheme: str = "light", screenshot: bool = False
+) -> Visit:
+    """Open `page` in a new tab of the given size and colour scheme, and look; keep a picture of it on request."""
     seen, url = Visit(), page.resolve().as_uri()
     with opened(pipe, url, seen) as (session, evaluate):
         screen = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": width < 600}
@@ -231,8 +233,9 @@ def visit(pipe: Pipe, page: Path, width: int = 1200, height: int = 900, scheme: 
         seen.blank = [picture["name"] for picture in pictures if picture["blank"]]
         seen.width = evaluate("document.documentElement.scrollWidth")
         seen.contrast = evaluate(CONTRAST)
-        shot = pipe.call("Page.captureScreenshot", session, captureBeyondViewport=True)
-        seen.screenshot = base64.b64decode(shot["data"])
+        if screenshot:
+            shot = pipe.call("Page.captureScreenshot", session, captureBeyondViewport=True)
+            seen.screenshot = base64.b64decode(shot["data"])
     return seen
 
 

@@ -67,7 +67,7 @@ def brightness(screenshot: bytes) -> float:
 @pytest.mark.parametrize("width", [1200, 380])
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 def test_page_is_sound(browser: headless.Pipe, page: Path, width: int, scheme: str) -> None:
-    seen = headless.visit(browser, page, width=width, scheme=scheme)
+    seen = headless.visit(browser, page, width=width, scheme=scheme, screenshot=True)
     assert seen.faults(width) == []
     assert seen.pictures >= 1
     assert brightness(seen.screenshot) > 200 if scheme == "light" else brightness(seen.screenshot) < 60
