@@ -41,12 +41,16 @@ def test_a_killed_command_goes_on_where_it_was(tmp_path: Path) -> None:
     process.wait()
     before = {path: (path.stat().st_mtime_ns, path.read_bytes()) for path in to.glob("*/results.json")}
     assert 4 <= len(before) < 12 and not (to / "grades.csv").exists()
+    left = list(tmp_path.glob("dsim-*"))
+    assert left  # of the killed processes
+    for path in left:
+        os.utime(path, (0, 0))
     done = subprocess.run(command, capture_output=True, text=True, env=environment, check=False)
     assert done.returncode == 0, done.stderr
     assert {path: (path.stat().st_mtime_ns, path.read_bytes()) for path in before} == before
     with (to / "grades.csv").open(newline="") as file:
         assert [float(row["score"]) for row in csv.DictReader(file)] == [MOST] * 12
-    assert not sandboxes(str(tmp_path))
+    assert not sandboxes(str(tmp_path)) and not list(tmp_path.glob("dsim-*"))
 
 
 def sandboxes(directory: str) -> list[str]:

@@ -13,7 +13,6 @@ from contextlib import contextmanager, suppress
 from functools import lru_cache
 from pathlib import Path, PurePosixPath
 from socket import gethostname
-from tempfile import TemporaryDirectory
 from threading import Lock
 from typing import Any
 
@@ -21,6 +20,7 @@ from dsim.grading import parcel
 from dsim.grading.grade import AHEAD, Task, grade_one
 from dsim.grading.results import RESULTS
 from dsim.grading.sandbox import SandboxError, check_sandbox
+from dsim.grading.scratch import scratch, sweep
 from dsim.grading.submission import SubmissionError, name_of, read
 from dsim.pictures.files import write_atomically
 
@@ -44,6 +44,11 @@ def _proved() -> None:
     check_sandbox()
 
 
+@lru_cache(maxsize=1)
+def _tidied() -> None:
+    sweep()
+
+
 def ready(sandboxed: bool, expected: str) -> None:
     """This worker may grade: it has the same dsim, and a sandbox that holds.  Raises ClusterError or SandboxError."""
     if (found := parcel.fingerprint()) != expected:
@@ -59,12 +64,13 @@ def grade_there(
     name: str, submission: bytes, assignment: bytes, secret: bytes, sandboxed: bool, expected: str
 ) -> dict[str, bytes]:
     """The files of one submission's results, by relative name.  expected: the fingerprint of the client's dsim."""
-    with _one_at_a_time, TemporaryDirectory(prefix="dsim-parcel-") as directory:
+    with _one_at_a_time, scratch("parcel") as directory:
         ready(sandboxed, expected)
-        file, to = Path(directory) / "in" / name, Path(directory) / "out"
+        _tidied()
+        file, to = directory / "in" / name, directory / "out"
         file.parent.mkdir()
         file.write_bytes(submission)
-        course = parcel.unpacked(assignment, Path(directory))  # anew each time: nothing hidden stays on a worker
+        course = parcel.unpacked(assignment, directory)  # anew each time: nothing hidden stays on a worker
         grade_one(Task(course, file, to, secret, sandboxed))
         return {path.relative_to(to).as_posix(): path.read_bytes() for path in sorted(to.rglob("*")) if path.is_file()}
 

@@ -10,7 +10,6 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 from multiprocessing import get_context
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Protocol
 
 from dsim.grading import items as rubrics
@@ -18,6 +17,7 @@ from dsim.grading import results
 from dsim.grading.items import Item, Outcome
 from dsim.grading.results import Graded
 from dsim.grading.sandbox import Jail, SandboxedStudent, SandboxError, check_sandbox
+from dsim.grading.scratch import scratch, sweep
 from dsim.grading.student import LocalStudent
 from dsim.grading.submission import KINDS, SubmissionError, name_of, printable, read
 from dsim.pictures.files import write_atomically
@@ -92,6 +92,7 @@ def grade(
     was graded without a sandbox, when there is one now.
     Raises SandboxError where there is no sandbox that holds, ValueError for an assignment that is none.
     """
+    sweep()
     items = rubrics.rubric(assignment / "rubric.toml")
     if not isinstance(jobs, int):
         jobs.prove(sandboxed)
@@ -145,8 +146,8 @@ def grade_one(task: Task) -> str:
         refused = rubrics.one_line(str(error))
         results.write(Graded(name_of(task.submission), lost, refused=refused, sandboxed=task.sandboxed), task.to)
         return name_of(task.submission)
-    with TemporaryDirectory(prefix="dsim-submission-") as directory:
-        path = Path(directory) / "submission.py"
+    with scratch("submission") as directory:
+        path = directory / "submission.py"
         path.write_text(submission.source, encoding="utf-8")
         if task.sandboxed:
             jail = Jail(path, task.assignment, slot=os.getpid() % 4096)

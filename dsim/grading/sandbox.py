@@ -16,15 +16,15 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 from dsim.grading import seccomp
 from dsim.grading.inside import protocol
+from dsim.grading.scratch import scratch
 from dsim.grading.student import Awards, StudentError, StudentReply, StudentTimeout
 
 INSIDE = Path(__file__).parent / "inside"
@@ -165,7 +165,7 @@ class SandboxedStudent(Awards):
         self.jail = jail
         self._process: subprocess.Popen[bytes] | None = None
         self._watch: _Watch | None = None
-        self._staged: TemporaryDirectory[str] | None = None
+        self._staged = ExitStack()
         self._notes = b""
         self._left = 0.0  # s that the sandbox may still take for the current item
         self._slow_loads = 0
@@ -220,9 +220,7 @@ class SandboxedStudent(Awards):
         if self._watch is not None:
             self._watch.stop()
             self._watch = None
-        if self._staged is not None:
-            self._staged.cleanup()
-            self._staged = None
+        self._staged.close()
 
     def __enter__(self) -> SandboxedStudent:
         return self
@@ -231,8 +229,7 @@ class SandboxedStudent(Awards):
         self.close()
 
     def _start(self) -> subprocess.Popen[bytes]:
-        self._staged = TemporaryDirectory(prefix="dsim-grade-")
-        jail = self.jail.staged(Path(self._staged.name))
+        jail = self.jail.staged(self._staged.enter_context(scratch("grade")))
         pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
         with _filtered(jail.command()) as (words, kept):
             process = subprocess.Popen(words, bufsize=0, start_new_session=True, pass_fds=kept, **pipes)  # type: ignore[call-overload]

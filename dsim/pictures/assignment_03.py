@@ -27,7 +27,7 @@ def implicit_steps() -> Figure:
     for i, stepper in enumerate((BackwardEuler(), ForwardEuler())):
         run = record(stepper, spring, [0.0, 1.0, 0.0, 0.0], 0.02, 60)
         axes[1].plot(run.t, run.q[:, 1], **{**look(i), "marker": ""}, label=type(stepper).__name__)
-    axes[1].set_ylim(-4, 4)
+    axes[1].set_ylim(-8.5, 4.5)
     label(axes[1], "time (s)", "position (m)", "A spring with h w = 0.4")
-    axes[1].legend()
+    axes[1].legend(loc="lower left")  # before the blow-up
     return figure

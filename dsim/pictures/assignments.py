@@ -33,7 +33,7 @@ def time_stepping() -> Figure:
         panel.plot([0], [0], "o", color=COLOURS[5], markersize=9)
         label(panel, "x (m)", "y (m)", title)
         panel.set_aspect("equal")
-    axes[0].legend(loc="upper right", fontsize=9)
+    axes[1].legend(loc="upper right", fontsize=9)  # where the orbit leaves room
     return figure
 
 
