@@ -50,6 +50,11 @@ def test_a_top_about_another_axis_is_refused():
         FreeTop((1.0, 2.0, 3.0), (1.0, 0.4, 0.1)).spins(0.0)
     with pytest.raises(ValueError, match="moments must rise"):
         FreeTop((3.0, 2.0, 1.0), (0.1, 0.4, 1.0)).spins(0.0)
+    with pytest.raises(ValueError, match="spin must be off the axis"):
+        FreeTop((1.0, 2.0, 3.0), (0.0, 0.0, 1.0)).spins(0.0)
+    for tilt in (0.0, np.pi, np.nan):
+        with pytest.raises(ValueError, match="tilt must lie between 0 and pi rad"):
+            HeavyTop(tilt)
 
 
 def test_a_symmetric_top_precesses_evenly():

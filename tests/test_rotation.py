@@ -41,6 +41,13 @@ def test_exponential_and_logarithm_are_scipys(r):
         assert np.abs(rotation.logarithm(q) - r).max() <= ROUND_OFF * tiny
 
 
+def test_the_quaternion_0_has_no_logarithm():
+    with pytest.raises(ValueError, match=r"q must be quaternions other than 0.* at index 1"):
+        rotation.logarithm(np.array([[1.0, 0, 0, 0], [0, 0, 0, 0]]))
+    with pytest.raises(ValueError, match="q must be quaternions other than 0"):
+        rotation.logarithm(np.zeros(4))
+
+
 @given(vectors, vectors)
 def test_products_compose_and_conjugates_invert(a, b):
     p, q = rotation.exponential(a), rotation.exponential(b)

@@ -148,8 +148,11 @@ def exponential(r: Array) -> Array:
 def logarithm(q: Array) -> Array:
     """The shortest rotation vector of a quaternion, |r| <= pi; any norm but 0.  atan2 keeps tiny turns and half turns.
 
-    The inverse of `exponential` up to full turns: q and -q give the same.
+    The inverse of `exponential` up to full turns: q and -q give the same.  Raises ValueError for a quaternion 0.
     """
+    q = np.asarray(q)
+    if not q.any(axis=-1).all():
+        as_unit("q", q, q.shape)
     q = np.where(q[..., :1] < 0, -q, q)
     sine = np.sqrt(np.einsum("...i,...i->...", q[..., 1:], q[..., 1:]))
     half = np.arctan2(sine, q[..., 0])

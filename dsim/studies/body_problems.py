@@ -67,6 +67,8 @@ class FreeTop:
         e, L = float(I @ w**2), float(I**2 @ w**2)
         if not i1 < i2 < i3 or L <= e * i2:
             raise ValueError(f"moments must rise and |L|^2 > 2 E I2; got {self.moments}, {L:.6g} <= {e * i2:.6g}")
+        if not w[:2].any():
+            raise ValueError(f"spin must be off the axis of the largest moment, or nothing tumbles; got {self.spin}")
         a1 = np.sqrt((e * i3 - L) / (i1 * (i3 - i1)))
         a2 = np.sqrt((e * i3 - L) / (i2 * (i3 - i2)))
         a3 = np.sqrt((L - e * i1) / (i3 * (i3 - i1))) * np.sign(w[2])
@@ -126,6 +128,10 @@ class HeavyTop:
     tilt: float = 0.5
     spin: float = 5.0
     precession: float = 0.1
+
+    def __post_init__(self) -> None:
+        if not 0 < self.tilt < np.pi:
+            raise ValueError(f"tilt must lie between 0 and pi rad: an upright top stays as it is; got {self.tilt}")
 
     @cached_property
     def _constants(self) -> tuple[float, float, Array, float]:
