@@ -1,6 +1,7 @@
 """What accuracy costs: the truth, the analysis, the stopwatch, and the command."""
 
 import json
+import re
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -319,10 +320,13 @@ def test_the_command_writes_everything_and_resumes(tmp_path, monkeypatch):
     assert first.exit_code == 0, first.output
     names = {path.name for path in (tmp_path / "out").iterdir()}
     assert {"projectile.png", "projectile.svg", "table.txt", "accuracy.json", "cells"} <= names
+    told = " ".join(first.output.split()).rpartition("┘")[2]  # what is printed below the tables
+    assert all(name in told for name in names if not name.endswith(".svg") and name != "cells")
     data = json.loads((tmp_path / "out/accuracy.json").read_text())
     assert data["studies"][0]["problem"] == "projectile" and data["versions"]["numpy"] == np.__version__
     text = (tmp_path / "out/table.txt").read_text()
-    assert max(map(len, text.splitlines())) <= 80
+    assert max(map(len, text.splitlines())) <= 80 and "-: too few points" in " ".join(text.split())
+    assert re.search(r"DOP853 +│ - ", text)
     monkeypatch.setattr(module, "measure", lambda *a: pytest.fail("measured again"))
     monkeypatch.setattr(report, "newton_curves", lambda *a: pytest.fail("drawn again"))
     assert CliRunner().invoke(app, arguments).exit_code == 0

@@ -35,6 +35,7 @@ from dsim.studies.work_precision import (
     work_precision,
 )
 
+CURVES = "newton-tolerance.png", "difference-steps.png"  # that belong to no problem
 ASYMPTOTIC = 0.999  # R^2 of a fit that deserves to be called an order
 QUICK_PROBLEMS = ("projectile", "pendulum")  # the others when they are named
 GRADIENTS = "gradients"  # beside the problems: what gradients cost, and how they converge
@@ -95,7 +96,9 @@ def run(names: Sequence[str], to: Path, *, quick: bool = False, fresh: bool = Fa
     data |= {GRADIENTS: results.to_dict()} if results else {}
     write_atomically(to / "accuracy.json", json.dumps(finite(data), indent=1, allow_nan=False).encode())
     out.print(text.get(), markup=False, end="")
-    out.print(f"pictures, table.txt and accuracy.json: {to}", soft_wrap=True, markup=False)
+    drawn = [f"{study.problem}.png" for study in studies] + (list(CURVES) if chosen else [])
+    drawn += [f"{name}.png" for name in gradient_cost.PICTURES] if results else []
+    out.print(f"{', '.join(drawn)}, table.txt, accuracy.json: {to}", soft_wrap=True, markup=False)
     return int(results is not None and not all(check.passed for check in results.checks))
 
 
@@ -114,11 +117,12 @@ def _cells(problem: problems.Problem, sweep: Sweep) -> int:
 
 def _curves(to: Path, steps: int, fresh: bool) -> None:
     """The two curves that belong to no problem; drawn once in a directory."""
-    if not fresh and all((to / name).exists() for name in ("newton-tolerance.png", "difference-steps.png")):
+    if not fresh and all((to / name).exists() for name in CURVES):
         return
-    save(pictures.newton_tolerance(newton_curves(steps)), to / "newton-tolerance.png")
+    tolerance, differences = CURVES
+    save(pictures.newton_tolerance(newton_curves(steps)), to / tolerance)
     widths = tolerances.DIFFERENCE_STEPS
-    save(pictures.difference_steps(widths, tolerances.difference_steps(widths)), to / "difference-steps.png")
+    save(pictures.difference_steps(widths, tolerances.difference_steps(widths)), to / differences)
 
 
 def newton_curves(steps: int = 200) -> dict[str, tuple[Array, Array, Array]]:
@@ -139,7 +143,7 @@ def tables(study: Study) -> tuple[Table, Table]:
         cells = study.of(method)
         finest = cells[-1]
         fit = study.order(method)
-        order = f"{fit.order:.2f} +- {fit.standard_error:.2f}" if fit else ""
+        order = f"{fit.order:.2f} +- {fit.standard_error:.2f}" if fit else "-"
         if fit and fit.r_squared < ASYMPTOTIC:
             order = f"({fit.order:.1f})"
         failures = sum(cell.failed for cell in cells)
@@ -151,7 +155,10 @@ def tables(study: Study) -> tuple[Table, Table]:
     band = (
         f"; a run timed against itself: {study.band[0]:.2f} to {study.band[1]:.2f}" if study.unit == "seconds" else ""
     )
-    words = f"smallest errors; drift and cost at the finest setting; (order): R^2 < {ASYMPTOTIC}, no power law yet"
+    words = (
+        f"smallest errors; drift and cost at the finest setting; (order): R^2 < {ASYMPTOTIC}, no power law yet; "
+        "-: too few points, or adaptive"
+    )
     first = Table(columns, tuple(rows), f"{study.problem}: {words}{band}")
     answers = []
     for target in TARGETS:

@@ -16,6 +16,8 @@ from dsim.studies.cells import Store
 from dsim.studies.check import Check
 from dsim.studies.work_precision import Study, work_precision
 
+PICTURES = "gradient-cost", "gradient-orders"
+
 
 @dataclass(frozen=True)
 class Results:
@@ -55,9 +57,10 @@ def orders(quick: bool, store: Store, progress: Callable[[str], None]) -> dict[s
 
 def draw(results: Results, to: Path) -> None:
     """Both pictures, each as PNG and SVG."""
+    costs, orders = PICTURES
     for kind in ("png", "svg"):
-        save(pictures.gradient_cost(results.cost), to / f"gradient-cost.{kind}")
-        save(pictures.gradient_orders(results.orders), to / f"gradient-orders.{kind}")
+        save(pictures.gradient_cost(results.cost), to / f"{costs}.{kind}")
+        save(pictures.gradient_orders(results.orders), to / f"{orders}.{kind}")
 
 
 def cost_tables(study: cost.CostStudy) -> tuple[Table, Table]:
