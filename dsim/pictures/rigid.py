@@ -119,27 +119,26 @@ def caught(result: Racket, frames: int = 9) -> Figure:
 
 @style()
 def weighed(result: Tumbling) -> Figure:
-    """Found against true, each with its bar; and the film of the body, its marks as corners of a box."""
+    """Found against true, each with its bar, in percent of the largest moment and of the spin; and without a push."""
     figure, (left, right) = canvas(1, 2, (10.0, 4.2), width_ratios=[1, 1.2])
     names = ("I_xx", "I_yy", "I_zz", "I_yz", "I_xz", "I_xy", "w_x", "w_y", "w_z")
-    error = result.noisy.stiffness - result.sight.truth
-    places = np.arange(9)
-    left.errorbar(
-        error, places, xerr=result.noisy.bars, fmt="o", color=COLOURS[0], capsize=4, label="found - true, 95 %"
-    )
+    truth, places = result.sight.truth, np.arange(9)
+    percent = 100 / np.repeat([np.abs(truth[:6]).max(), np.linalg.norm(truth[6:])], [6, 3])
+    error, bars = percent * (result.noisy.stiffness - truth), percent * result.noisy.bars
+    left.errorbar(error, places, xerr=bars, fmt="o", color=COLOURS[0], capsize=4, label="found - true, 95 %")
     left.axvline(0.0, color="#57606a", linewidth=1)
     left.set_yticks(places, names)
     left.invert_yaxis()
-    label(left, "error (kg m², rad/s)", "number", "from one film, marks seen to 1 mm")
+    label(left, "error (% of the largest moment, of |w|)", "number", "from one film, marks seen to 1 mm")
     left.legend(loc="upper center", bbox_to_anchor=(0.5, -0.14), fontsize=9)
     for row, (words, one) in enumerate((("pushed by a known torque", result.noisy), ("free", result.free))):
-        known, top = np.isfinite(one.bars), 10 * float(result.noisy.bars.max())
-        right.semilogy(places[known], one.bars[known], **{**look(row), "linestyle": ""}, label=words)
+        known, top = np.isfinite(one.bars), 10 * float(bars.max())
+        right.semilogy(places[known], (percent * one.bars)[known], **{**look(row), "linestyle": ""}, label=words)
         if not known.all():
             right.plot(
                 places[~known], np.full((~known).sum(), top), "^", color=look(row)["color"], label="no end: unknown"
             )
     right.set_xticks(places, names, fontsize=9)
-    label(right, "number", "half a bar", "what a free body does not tell: its size")
+    label(right, "number", "half a bar (%)", "what a free body does not tell: its size")
     right.legend(fontsize=9)
     return figure
