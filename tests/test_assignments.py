@@ -49,7 +49,7 @@ def test_an_unfair_assignment_is_found(tmp_path: Path) -> None:
     alternative = assignment.path / "alternatives" / "loops.py"
     alternative.write_text(alternative.read_text().replace("2 / (stiffness", "3 / (stiffness"))
     solution = assignment.path / "solution.py"
-    solution.write_text(solution.read_text().replace("    # BEGIN SOLUTION: from h omega = 2\n", "", 1).replace(
+    solution.write_text(solution.read_text().replace("    # BEGIN SOLUTION: part 5 of the handout\n", "", 1).replace(
         "mass / stiffness)\n    # END SOLUTION", "mass / stiffness)"))  # fmt: skip
     red = [str(check) for check in selfcheck(assignment) if not check.passed]
     expected = ("mutants; 1", "alternatives; 1", "the stub scores nothing; 2",
@@ -100,11 +100,26 @@ def test_the_commands(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: p
     assert run("assignments", "release", "1", "--to", str(tmp_path), *where)[0] == 0
     file = tmp_path / "01_time_stepping" / "01_time_stepping.py"
     code, out = run("check-submission", str(file), *where)
-    assert code == 1 and "0 of 6 public points; 10 more are hidden" in out and "Hint:" in out
+    assert code == 1 and "0 of 6 public points; 10 more are hidden" in out and "Hint:" not in out
     assert "Not written yet: forces, forward_euler" in out and "NotImplementedError (line" in out
     file.write_text((ROOT / "01_time_stepping" / "solution.py").read_text())
     code, out = run("check-submission", str(file), *where)
     assert code == 0 and "6 of 6 public points" in out and "Not written yet" not in out
+    file.write_text(file.read_text() + "\nimport matplotlib.pyplot as plt\n")
+    code, out = run("check-submission", str(file), *where)
+    assert code == 1 and "imports matplotlib.pyplot, which is not there when you are graded (line" in out
+    right = (ROOT / "01_time_stepping" / "solution.py").read_text()
+    file.write_text(right.replace("def symplectic_euler(", "def symplectic_Euler("))
+    code, out = run("check-submission", str(file), *where)
+    assert out.count("NameError") == 1 and "Nothing could be checked" in out and "Hint" not in out
+    assert "did you mean symplectic_Euler?" in " ".join(out.split())
+    file.write_text(right + "\ndef forward_euler(a, x, v, t, h):\n    k = h * a(x, v, t)\n    x += h * v\n    v += k\n"
+                    "    return x, v\n")  # fmt: skip
+    code, out = run("check-submission", str(file), *where)
+    assert code == 0 and "Changes the arrays that it is given: forward_euler." in out
+    file.write_text(right + "\ndef forces(v, mass, gravity, drag, wind):\n    pass\n")
+    code, out = run("check-submission", str(file), *where)
+    assert code == 1 and "nothing (None): is there a return?" in " ".join(out.split()) and out.count("Hint:") == 1
     file.rename(tmp_path / "mine.py")
     for arguments, words in ((["check-submission", str(tmp_path / "mine.py"), *where], "--assignment must say which"),
                              (["check-submission", str(file), *where], "there is no file"),

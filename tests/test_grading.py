@@ -7,6 +7,7 @@ import importlib
 import json
 import os
 import shutil
+import signal
 from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
@@ -20,11 +21,11 @@ from scipy.sparse import csr_array
 from typer.testing import CliRunner
 
 from dsim.cli import app, main
-from dsim.grading import compare, folder, items, results
+from dsim.grading import compare, folder, items, results, submission
 from dsim.grading import grade as grading
 from dsim.grading.inside import protocol
 from dsim.grading.results import Graded
-from dsim.grading.student import Awards, ItemLost, LocalStudent, StudentError, StudentReply
+from dsim.grading.student import Awards, ItemLost, LocalStudent, StudentError, StudentReply, StudentTimeout
 from dsim.grading.submission import SubmissionError, read
 
 ASSIGNMENT = Path(__file__).parent / "grading_fixture"
@@ -236,6 +237,53 @@ def test_a_local_student_fails_in_the_same_ways(tmp_path: Path) -> None:
         with pytest.raises(StudentError, match="h is not defined"):
             student.call("h")
     assert str(StudentError("NotImplementedError", "", 3)) == "NotImplementedError (line 3 of your file)"
+
+
+LOOPS = ("    while True: pass\n", "    try:\n        while True: pass\n    except: pass\n    while True: pass\n")
+
+
+@pytest.mark.parametrize("loop", LOOPS, ids=["plain", "catches the first alarm"])
+def test_a_loop_without_end_ends_here_too(loop: str, tmp_path: Path) -> None:
+    """The next item has its own time, and this process its old alarm."""
+    path, before = tmp_path / "me.py", signal.getsignal(signal.SIGALRM)
+    path.write_text(f"def f():\n{loop}\ndef g():\n    return 1.0\n")
+    student = LocalStudent(path, ASSIGNMENT, patience=0.2)
+    with student.item(1.0):
+        with pytest.raises(StudentTimeout, match=r"f is not done after 0.2 s: is there a loop without end\?"):
+            student.call("f")
+    with student.item(1.0):
+        assert student.call("g") == 1.0 and student.changed == set()
+    assert signal.getsignal(signal.SIGALRM) is before
+
+
+def test_what_is_imported_that_is_not_there() -> None:
+    source = "import os, pandas\nfrom scipy import linalg\nimport kit\ndef f():\n    from dsim.grading import items\n"
+    assert submission.foreign_imports(source) == [(1, "pandas"), (5, "dsim.grading")]
+
+
+def test_a_helper_in_a_cell_that_is_not_graded_is_named(tmp_path: Path) -> None:
+    def cell(text: str, *tags: str) -> dict[str, Any]:
+        return {"cell_type": "code", "metadata": {"tags": list(tags)}, "source": text}
+
+    book = {"cells": [cell("def helper(): return 1\nscale = 2"), cell("def f(): return helper()", "submission"),
+                      cell("def broken(:")]}  # fmt: skip
+    path = tmp_path / "me.ipynb"
+    path.write_text(json.dumps(book))
+    handed_in = read(path)
+    assert handed_in.outside == {"helper", "scale"}
+    told = handed_in.placed("NameError: name 'helper' is not defined (line 1 of your file)")
+    assert told.endswith('helper is in a cell that is not tagged "submission": move it into one that is')
+    assert "line 1 of the cell" in told and "tagged" not in handed_in.placed("NameError: name 'other' is not defined")
+
+
+def test_a_file_that_stops_while_it_is_loaded_is_told_once(tmp_path: Path) -> None:
+    outcomes = tuple(local(tmp_path, SOLUTION + "\nimport nothing_like_this\n"))
+    text = results.feedback(results.Graded("me", outcomes))
+    assert text.count("nothing_like_this") == 1 and "every item ended like this" in text and "Hint" not in text
+    assert [outcome.hinted for outcome in outcomes] == [False] * 3
+    assert all(
+        "nothing_like_this" in test["output"] for test in results.as_gradescope(results.Graded("me", outcomes))["tests"]
+    )
 
 
 # Submissions

@@ -68,5 +68,6 @@ def test_parts_of_a_notebook() -> None:
     """Comments and decorators stay with what follows; imports and constants share a cell; nothing is lost."""
     source = '"""Words."""\n\nimport a\n# one\nB = 1\n\n\n# two\n@a.b\ndef f():\n    pass\n\n\nC = 2\n# end\n'
     cells = ["".join(cell["source"]) for cell in json.loads(notebook(source, "me"))["cells"]]
-    assert cells[:4] == ["Words.", "import a\n# one\nB = 1", "# two\n@a.b\ndef f():\n    pass", "C = 2\n# end"]
+    assert cells[0].startswith("Words.\n\nWrite in the cells that are tagged")
+    assert cells[:4] == [cells[0], "import a\n# one\nB = 1", "# two\n@a.b\ndef f():\n    pass", "C = 2\n# end"]
     assert cells[-1] == "!dsim check-submission me.ipynb"

@@ -64,6 +64,6 @@ def simulate(method, acceleration, x0, v0, h, steps):
 
 def largest_stable_step(stiffness, mass):
     """The step (s) at which symplectic Euler stops being stable on a spring of stiffness k (N/m) and mass m (kg)."""
-    # BEGIN SOLUTION: from h omega = 2
+    # BEGIN SOLUTION: part 5 of the handout
     return 2 * np.sqrt(mass / stiffness)
     # END SOLUTION

@@ -14,8 +14,7 @@ from dsim.grading.student import ItemLost
 def array(name: str, value: Any, shape: tuple[int, ...]) -> Array:
     """The value as finite floats of this shape, or ItemLost in words for a student."""
     if not isinstance(value, np.ndarray | float | int) or isinstance(value, bool):
-        kind = "nothing (None)" if value is None else f"a {type(value).__name__}"
-        raise ItemLost(f"{name} must be an array of shape {shape}; got {kind}")
+        raise ItemLost(f"{name} must be an array of shape {shape}; got {described(value)}")
     found = np.asarray(value)
     if found.dtype.kind not in "fiu":
         raise ItemLost(f"{name} must hold real numbers; got {found.dtype}")
@@ -25,6 +24,26 @@ def array(name: str, value: Any, shape: tuple[int, ...]) -> Array:
     if not np.isfinite(found).all():
         raise ItemLost(f"{name} must be finite; {int((~np.isfinite(found)).sum())} of {found.size} entries are not")
     return found
+
+
+def described(value: Any) -> str:
+    """What came back, in words.
+
+    >>> described(None), described((1.0, np.ones(3)))
+    ('nothing (None): is there a return?', 'a tuple of 2')
+    """
+    if value is None:
+        return "nothing (None): is there a return?"
+    if isinstance(value, np.ndarray):
+        return f"an array of shape {value.shape}"
+    return f"a {type(value).__name__}" + (f" of {len(value)}" if isinstance(value, tuple | list) else "")
+
+
+def pair(name: str, value: Any, of: str) -> tuple[Any, Any]:
+    """The two parts of a value, or ItemLost.  of: what they are, "(x, v)"."""
+    if not isinstance(value, tuple | list) or len(value) != 2:
+        raise ItemLost(f"{name} must return the pair {of}; got {described(value)}")
+    return value[0], value[1]
 
 
 def number(name: str, value: Any) -> float:
@@ -40,9 +59,9 @@ def close(name: str, value: Any, expected: Any, tolerance: float) -> Array:
     error = float(np.abs(found - expected).max(initial=0.0)) / scale
     if not error <= tolerance:
         picture = Entries(name, expected, found, tolerance * scale) if expected.size > 1 else None
-        allowed = f"{tolerance:.0e}" if tolerance else "nothing"
+        allowed = f"allowed is {tolerance:.0e}" if tolerance else "it must be exactly what it should be"
         beside = f" of the largest entry, {scale:.3g}" if scale > 1 else ""
-        raise ItemLost(f"{name} is off by {error:.1e}{beside}; allowed is {allowed}", error, tolerance, picture)
+        raise ItemLost(f"{name} is off by {error:.1e}{beside}; {allowed}", error, tolerance, picture)
     return found
 
 

@@ -24,6 +24,8 @@ from dsim.grading.student import ItemLost, StudentError, StudentReply, StudentTi
 from dsim.grading.submission import printable
 
 Visibility = Literal["public", "hidden"]
+NO_MATHEMATICS = ("NameError", "UnboundLocalError", "AttributeError", "ImportError", "ModuleNotFoundError",
+                  "NotImplementedError", "SyntaxError", "SystemExit")  # fmt: skip
 DRAWS = 8  # examples of an item that hypothesis drives
 WHOLE = 60.0  # s for all items of one submission
 
@@ -42,13 +44,17 @@ class Item:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What one item gave: points, why some were lost ("" where none were), and a picture of it where there is one."""
+    """What one item gave: points, why some were lost ("" where none were), and a picture of it where there is one.
+
+    hinted: the item's hint, which is about its mathematics, may help; not where a name is missing.
+    """
 
     item: Item
     score: float
     why: str = ""
     seconds: float = 0.0
     picture: Picture | None = None
+    hinted: bool = True
 
     @property
     def lost(self) -> bool:
@@ -140,12 +146,13 @@ def run(
 
 def run_item(item: Item, check: Callable[..., Any], student: Gradable) -> Outcome:
     """One item: full points where the check passes, else the largest part that it awarded."""
-    start, why, picture = time.monotonic(), "", None
+    start, why, picture, hinted = time.monotonic(), "", None, True
     try:
         with student.item(item.timeout):
             check(student)
     except (ItemLost, StudentError, StudentTimeout, StudentReply, ProtocolError) as error:
         why, picture = str(error), getattr(error, "picture", None)
+        hinted = getattr(error, "kind", "") not in NO_MATHEMATICS
     except AssertionError as error:
         why = str(error) or "what came back is not what was asked for"
     except SandboxError:  # the grader's trouble, not the student's
@@ -155,7 +162,7 @@ def run_item(item: Item, check: Callable[..., Any], student: Gradable) -> Outcom
     seconds = time.monotonic() - start
     if not why:
         return Outcome(item, float(item.points), "", seconds)
-    return Outcome(item, round(student.awarded * item.points, 2), one_line(why), seconds, picture)
+    return Outcome(item, round(student.awarded * item.points, 2), one_line(why), seconds, picture, hinted)
 
 
 def one_line(text: str) -> str:

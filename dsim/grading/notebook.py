@@ -17,7 +17,10 @@ def notebook(source: str, name: str) -> str:
     cells, start = [], 0
     if body and ast.get_docstring(ast.parse(source)):
         start = body[0].end_lineno or 0
-        cells.append(_cell("markdown", ast.get_docstring(ast.parse(source)) or ""))
+        rule = (
+            f'Write in the cells that are tagged "{TAG}", helpers too: other cells are yours to play, and not graded.'
+        )
+        cells.append(_cell("markdown", f"{ast.get_docstring(ast.parse(source))}\n\n{rule}"))
         body = body[1:]
     for number, node in enumerate(body):
         following = body[number + 1] if number + 1 < len(body) else None

@@ -66,7 +66,15 @@ def as_gradescope(graded: Graded) -> dict[str, Any]:
 
 def told(outcome: Outcome, why: Callable[[str], str] = str) -> str:
     """Why points were lost, and one hint; inputs are never shown.  why: how the reason, theirs perhaps, is written."""
-    return f"{why(outcome.why)}\n\nHint: {outcome.item.hint}" if outcome.lost else ""
+    if not outcome.lost:
+        return ""
+    return f"{why(outcome.why)}\n\nHint: {outcome.item.hint}" if outcome.hinted else why(outcome.why)
+
+
+def alike(outcomes: Sequence[Outcome]) -> str:
+    """Why every item ended, where all did in one and the same way: a file that stops while it is loaded, say."""
+    reasons = {outcome.why if outcome.lost else "" for outcome in outcomes}
+    return reasons.pop() if len(outcomes) > 1 and len(reasons) == 1 else ""
 
 
 def picture_of(outcome: Outcome) -> bytes | None:
@@ -106,10 +114,12 @@ def feedback(graded: Graded, pictures: Collection[str] = ()) -> str:
         lines += ["**Graded without a sandbox: do not trust this grade.**", ""]
     if graded.refused:
         lines += [f"No points: {_plain(graded.refused)}", ""]
+    if (same := alike(graded.outcomes)) and not graded.refused:
+        lines += [f"Nothing could be checked, every item ended like this: {_plain(same)}", ""]
     for outcome in () if graded.refused else graded.outcomes:
         item = outcome.item
         lines.append(f"## {item.title}: {outcome.score:g} of {item.points}")
-        lines += ["", told(outcome, _plain), ""] if outcome.lost else [""]
+        lines += ["", told(outcome, _plain), ""] if outcome.lost and not same else [""]
         if item.id in pictures:
             lines += [f"![{item.title}: what came back, and what was asked for]({item.id}.png)", ""]
     if graded.notes.strip():

@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import ast
 import importlib.util
+import signal
 import sys
+import threading
+import time
 import traceback
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from difflib import get_close_matches
 from pathlib import Path
 from types import ModuleType
 from typing import Any, Protocol
@@ -69,6 +74,10 @@ class Student(Protocol):
         ...
 
 
+class _Alarm(BaseException):
+    """Their time is over."""
+
+
 class Awards:
     """The largest fraction granted in the current item."""
 
@@ -84,10 +93,14 @@ class LocalStudent(Awards):
     """A submission in this process, unprotected: for the student's own check, and for tests of assignments.
 
     Values pass through the same protocol as from the sandbox, so that what is refused there is refused here.
+    patience: so many times an item's limit may pass in their code, where the system can interrupt it.
+    changed: names of functions that changed the arrays they were given.
     """
 
-    def __init__(self, path: Path, kit: Path) -> None:
-        self.path, self.kit = Path(path), Path(kit)
+    def __init__(self, path: Path, kit: Path, patience: float = 5.0) -> None:
+        self.path, self.kit, self.patience = Path(path), Path(kit), patience
+        self.changed: set[str] = set()
+        self._limit = self._left = float("inf")
         self._module: ModuleType | None = None
         self._kit: ModuleType | None = None
 
@@ -95,25 +108,66 @@ class LocalStudent(Awards):
     def item(self, timeout: float) -> Iterator[None]:
         """One graded item: the submission is loaded anew."""
         self.awarded, self._module, self._kit = 0.0, None, None
+        self._limit = self._left = self.patience * timeout
         with _importing(self.kit):
             yield
 
     def call(self, function: str, *arguments: Any) -> Any:
+        given = _through(list(arguments))
         try:
-            module = self._load()
-            chosen = getattr(module, function, None)
-            if not callable(chosen):
-                raise StudentError("NameError", f"{function} is not defined")
-            given = _through(list(arguments))
-            value = chosen(*(self._resolved(argument) for argument in given))
+            with self._clock():
+                module = self._load()
+                chosen = getattr(module, function, None)
+                if not callable(chosen):
+                    raise StudentError("NameError", f"{function} is not defined{self._near(function)}")
+                value = chosen(*(self._resolved(argument) for argument in given))
         except (StudentError, KeyboardInterrupt):
             raise
+        except _Alarm:
+            raise StudentTimeout(
+                f"{function} is not done after {self._limit:g} s: is there a loop without end?"
+            ) from None
         except BaseException as error:  # SystemExit too
-            raise StudentError(type(error).__name__, str(error)[:600], self._line(error)) from None
+            near = self._near(error.name) if isinstance(error, NameError) and error.name else ""
+            raise StudentError(type(error).__name__, str(error)[:600] + near, self._line(error)) from None
+        if encode("value", given) != encode("value", list(arguments)):
+            self.changed.add(function)
         try:
             return _through(value)
         except ProtocolError as error:
             raise StudentReply(str(error)) from None
+
+    @contextmanager
+    def _clock(self) -> Iterator[None]:
+        """Their code may take what is left of the item's time; without limit where no alarm can be set."""
+        if (
+            self._left == float("inf")
+            or not hasattr(signal, "setitimer")
+            or threading.current_thread() is not threading.main_thread()
+        ):
+            yield
+            return
+
+        def ring(*arguments: object) -> None:
+            raise _Alarm
+
+        start, before = time.monotonic(), signal.signal(signal.SIGALRM, ring)
+        signal.setitimer(signal.ITIMER_REAL, max(self._left, 1e-3), 1.0)  # again, if the first is caught
+        try:
+            yield
+        finally:
+            signal.setitimer(signal.ITIMER_REAL, 0)
+            signal.signal(signal.SIGALRM, before)
+            self._left -= time.monotonic() - start
+
+    def _near(self, name: str) -> str:
+        """A name of the file that may have been meant."""
+        with suppress(SyntaxError, OSError, ValueError):
+            tree = ast.parse(self.path.read_text(encoding="utf-8"))
+            names = [part.name for part in ast.walk(tree) if isinstance(part, ast.FunctionDef)]
+            if found := get_close_matches(name, [other for other in names if other != name], 1, 0.8):
+                return f"; did you mean {found[0]}?"
+        return ""
 
     def _load(self) -> ModuleType:
         if self._module is None:

@@ -5,12 +5,15 @@ from __future__ import annotations
 import ast
 import json
 import re
+import sys
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
 MOST_BYTES = 2**20
 KINDS = (".py", ".ipynb")
 TAG = "submission"
+THERE = sys.stdlib_module_names | {"numpy", "scipy", "kit"}  # what a submission may import
 
 
 class SubmissionError(ValueError):
@@ -21,18 +24,25 @@ class SubmissionError(ValueError):
 class Submission:
     """name: of the file without its ending, in the grades.  source: Python text.
 
-    cells: of a notebook, the line of the source at which each begins, and its first line of code.
+    cells: of a notebook, the line of the source at which each begins, and its first line of code.  outside: names that
+    its other cells define.
     """
 
     name: str
     path: Path
     source: str
     cells: tuple[tuple[int, str], ...] = ()
+    outside: frozenset[str] = frozenset()
 
     def placed(self, why: str) -> str:
         """A reason with "line N of your file" in words that lead to the cell of a notebook."""
         found = re.search(r" \(line (\d{1,7}) of your file\)$", why) if self.cells else None
-        return f"{why[: found.start()]} ({_place(self.cells, int(found[1]))})" if found else why
+        missing = re.match(r"NameError: name '(\w{1,60})' is not defined", why)
+        if missing and missing[1] in self.outside:
+            lost = f'; {missing[1]} is in a cell that is not tagged "{TAG}": move it into one that is'
+        else:
+            lost = ""
+        return f"{why[: found.start()]} ({_place(self.cells, int(found[1]))}){lost}" if found else why + lost
 
 
 def printable(text: str) -> str:
@@ -69,7 +79,17 @@ def read(path: Path) -> Submission:
         line = f" in {_place(cells, error.lineno)}" if isinstance(error, SyntaxError) and error.lineno else ""
         told = error.msg if isinstance(error, SyntaxError) else str(error)
         raise SubmissionError(f"{name} is not Python{line}: {printable(told[:200])}") from None
-    return Submission(name_of(path), path, source, cells)
+    return Submission(name_of(path), path, source, cells, _outside(text) if cells else frozenset())
+
+
+def foreign_imports(source: str) -> list[tuple[int, str]]:
+    """(line, module) of imports that fail where it is graded: of anything but Python's own, numpy, scipy and kit."""
+    found = []
+    for node in ast.walk(ast.parse(source)):
+        names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
+        names += [node.module] if isinstance(node, ast.ImportFrom) and node.module and not node.level else []
+        found += [(node.lineno, name) for name in names if name.split(".")[0] not in THERE]  # type: ignore[attr-defined]
+    return sorted(found)
 
 
 def unwritten(source: str) -> list[str]:
@@ -107,6 +127,20 @@ def from_notebook(text: str, name: str) -> list[str]:
         return list(map(_without_magic, sources))
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         raise SubmissionError(f"{name} must be a notebook (nbformat 4): {type(error).__name__}") from None
+
+
+def _outside(text: str) -> frozenset[str]:
+    """Names that the untagged code cells of a notebook define."""
+    names: set[str] = set()
+    for cell in json.loads(text)["cells"]:
+        if cell["cell_type"] == "code" and TAG not in cell.get("metadata", {}).get("tags", ()):
+            with suppress(SyntaxError, ValueError, RecursionError, MemoryError):
+                for node in ast.walk(ast.parse(_without_magic("".join(cell["source"])))):
+                    if isinstance(node, ast.FunctionDef | ast.ClassDef):
+                        names.add(node.name)
+                    elif isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store):
+                        names.add(node.id)
+    return frozenset(names)
 
 
 def _without_magic(source: str) -> str:

@@ -49,20 +49,21 @@ def _rows(name: str, pair: tuple[Array, Array], tolerance: float, values: bool) 
     if values:
         axes[0].plot(index, expected, "o", color="#b0b7bf", markersize=11, label="expected")
         axes[0].plot(index, found, "x", color=COLOURS[1], markeredgewidth=2, label="yours")
-        label(axes[0], "entry", "value", "values")
-        axes[0].legend(fontsize=9)
+        label(axes[0], "entry", "value")
     error = np.maximum(np.abs(found - expected), 1e-17)
     last.semilogy(index, error, "x", color=COLOURS[1], markeredgewidth=2, label="error of yours")
     last.axhline(max(tolerance, 1e-17), color=COLOURS[0], linestyle="--", label="allowed")
-    label(last, "entry", "|yours - expected|", "errors")
-    last.legend(fontsize=9)
+    label(last, "entry", "|yours - expected|")
     for panel in axes:
+        panel.legend(
+            fontsize=9, ncols=2, frameon=False, loc="lower left", bbox_to_anchor=(-0.02, 0.97)
+        )  # hides nothing
         panel.xaxis.set_major_locator(MaxNLocator(integer=True))
     return figure
 
 
 def _matrices(name: str, pair: tuple[Array, Array], tolerance: float, values: bool) -> Figure:
-    figure, axes = _panels(1 + values, name)
+    figure, axes = _panels(1 + values, f"{name} (orange: below 0, purple: above)" if values else name)
     size = [float(np.abs(matrix).max(initial=0.0)) for matrix in pair]
     limit = min(max(size), 3 * size[0] or 1.0) or 1.0
     off = np.abs(pair[1] - pair[0]) > tolerance
@@ -73,7 +74,7 @@ def _matrices(name: str, pair: tuple[Array, Array], tolerance: float, values: bo
         axes[-1].imshow(off, cmap="binary", vmin=0, vmax=2)
         label(axes[-1], "column", "row", "grey: off")
     for row, column in np.argwhere(off)[:MOST]:
-        frame = Rectangle((column - 0.47, row - 0.47), 0.94, 0.94, fill=False, edgecolor=COLOURS[1], linewidth=2)
+        frame = Rectangle((column - 0.47, row - 0.47), 0.94, 0.94, fill=False, edgecolor="black", linewidth=2)
         axes[-1].add_patch(frame)
     for panel in axes:
         panel.grid(False)

@@ -92,13 +92,17 @@ def check_submission(file: Path, number: str, where: Path | None, pictures: Path
         path = Path(directory) / file.with_suffix(".py").name
         read = submission.read(file)
         path.write_text(read.source, encoding="utf-8")
-        outcomes = rubrics.run(public, checks, LocalStudent(path, assignment.path))
+        student = LocalStudent(path, assignment.path)
+        outcomes = rubrics.run(public, checks, student)
     out, to = console(), pictures or file.with_name(f"{file.stem}-feedback")
+    if same := results.alike(outcomes):
+        out.print(f"Nothing could be checked, every item ended like this:\n    {read.placed(same)}", markup=False)
     for outcome in outcomes:
         style = "bold red" if outcome.lost else "green"
         out.print(Text(f"{outcome.score:g} of {outcome.item.points}  {outcome.item.title}", style=style))
-        if outcome.lost:
-            out.print(f"    {read.placed(outcome.why)}\n    Hint: {outcome.item.hint}", markup=False)
+        if outcome.lost and not same:
+            hint = f"\n    Hint: {outcome.item.hint}" if outcome.hinted else ""
+            out.print(f"    {read.placed(outcome.why)}{hint}", markup=False)
         if (png := results.picture_of(outcome)) is not None:
             path = write_atomically(to / f"{outcome.item.id}.png", png)
             out.print(f"    Picture: {path}", markup=False, soft_wrap=True)
@@ -109,4 +113,12 @@ def check_submission(file: Path, number: str, where: Path | None, pictures: Path
     out.print(f"{got:g} of {most} public points; {hidden} more are hidden", markup=False)
     if open_parts := submission.unwritten(read.source):
         out.print(f"Not written yet: {', '.join(open_parts)}", markup=False)
-    return 0 if got == most else 1
+    if student.changed:
+        names = ", ".join(sorted(student.changed))
+        out.print(f"Changes the arrays that it is given: {names}. Return new ones: x = x + h * v, not x += h * v",
+                  markup=False)  # fmt: skip
+    foreign = submission.foreign_imports(read.source)
+    for line, name in foreign:
+        told = read.placed(f"imports {name}, which is not there when you are graded (line {line} of your file)")
+        out.print(Text(f"{told}: points would be lost", style="bold red"))
+    return 0 if got == most and not foreign else 1

@@ -13,9 +13,7 @@ from dsim.grading.student import ItemLost, kit_function
 def end(student, force, x, v, h, steps):
     """(x, v) after some steps of their rk4, called here, so that `simulate` is not needed."""
     for n in range(steps):
-        found = student.call("rk4", force, x, v, n * h, h)
-        if not isinstance(found, tuple | list) or len(found) != 2:
-            raise ItemLost("rk4 must return the pair (x, v)")
+        found = compare.pair("rk4", student.call("rk4", force, x, v, n * h, h), "(x, v)")
         x, v = (compare.array("rk4", part, x.shape) for part in found)
     return np.concatenate([x, v]).ravel()
 
@@ -52,9 +50,7 @@ def test_simulate(student, seed, method):
     rng = np.random.default_rng(seed)
     x, v, h, steps = *rng.normal(size=(2, 3, 2)), 0.05, 6
     force = kit_function("shaken", frequency=2.0, strength=3.0)
-    found = student.call("simulate", method, force, x, v, h, steps)
-    if not isinstance(found, tuple | list) or len(found) != 2:
-        raise ItemLost("simulate must return the pair (X, V)")
+    found = compare.pair("simulate", student.call("simulate", method, force, x, v, h, steps), "(X, V)")
     states = [compare.array(name, part, (steps + 1, 3, 2)) for name, part in zip("XV", found, strict=True)]
     compare.close("row 0 of X", states[0][0], x, 0.0)
     compare.close("row 0 of V", states[1][0], v, 0.0)
@@ -62,7 +58,7 @@ def test_simulate(student, seed, method):
         raise ItemLost("a state is the one before it: nothing moves there")
     student.award(0.5)
     for n in range(steps):  # by their own method: a mistake there costs its own item only
-        step = student.call(method, force, states[0][n], states[1][n], n * h, h)
+        step = compare.pair(method, student.call(method, force, states[0][n], states[1][n], n * h, h), "(x, v)")
         compare.close(f"X after step {n + 1}", states[0][n + 1], step[0], 1e-12)
         compare.close(f"V after step {n + 1}", states[1][n + 1], step[1], 1e-12)
 
@@ -76,7 +72,7 @@ def test_energy(student):
     found, turned = [], 0.0
     for n in range(126):
         step = student.call("symplectic_euler", kit_function("planet"), x, v, n * h, h)
-        before = x[0]
+        step, before = compare.pair("symplectic_euler", step, "(x, v)"), x[0]
         x, v = (compare.array("symplectic_euler", part, (1, 2)) for part in step)
         turned += np.arctan2(before[0] * x[0, 1] - before[1] * x[0, 0], before @ x[0])
         found.append(0.5 * (v**2).sum() - 1 / np.linalg.norm(x))

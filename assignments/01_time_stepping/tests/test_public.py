@@ -3,14 +3,13 @@
 import numpy as np
 
 from dsim.grading import compare
-from dsim.grading.student import ItemLost, kit_function
+from dsim.grading.student import kit_function
 
 
 def pair(name, value, shape):
     """Your (x, v) as two arrays."""
-    if not isinstance(value, tuple | list) or len(value) != 2:
-        raise ItemLost(f"{name} must return the pair (x, v)")
-    return [compare.array(f"{part} of {name}", found, shape) for part, found in zip("xv", value, strict=True)]
+    parts = compare.pair(name, value, "(x, v)")
+    return [compare.array(f"{part} of {name}", found, shape) for part, found in zip("xv", parts, strict=True)]
 
 
 def test_forces(student):

@@ -98,8 +98,7 @@ def test_assemble(student, seed):
 def test_force_by_parameters(student, seed, dimension):
     x, v, rest, k, _ = net(seed, dimension)
     found = student.call("force_by_parameters", x, PAIRS, rest, k)
-    if not isinstance(found, tuple | list) or len(found) != 2:
-        raise ItemLost("force_by_parameters must return the pair (F_k, F_rest)")
+    found = compare.pair("force_by_parameters", found, "(F_k, F_rest)")
 
     def force(theta):
         springs = Springs(PAIRS, theta[:7], theta[7:])

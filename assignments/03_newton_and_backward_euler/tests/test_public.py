@@ -13,7 +13,8 @@ def answer(value):
         or len(value) != 2
         or not isinstance(value[1], bool | np.bool_ | int | np.ndarray)
     ):
-        raise ItemLost("newton must return the pair (z, converged), converged True or False")
+        got = compare.described(value)
+        raise ItemLost(f"newton must return the pair (z, converged), converged True or False; got {got}")
     return value[0], bool(value[1])
 
 

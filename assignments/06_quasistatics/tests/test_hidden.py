@@ -107,8 +107,7 @@ def test_design_gradient(student, seed, make):
     wanted = {"target": x + rng.normal(size=x.shape), "price": 0.5, "usual": p + 0.1}
     objective = kit_function("target", **wanted)
     found = student.call("design_gradient", theirs, objective, start, p)
-    if not isinstance(found, tuple | list) or len(found) != 2:
-        raise ItemLost("design_gradient must return the pair (O, dO/dp)")
+    found = compare.pair("design_gradient", found, "(O, dO/dp)")
     compare.close("O", compare.number("O", found[0]), public.kit.target(**wanted).value(x, p), 1e-8)
     student.award(0.5)
     expected = compare.array("adjoint_gradient", student.call("adjoint_gradient", theirs, objective, x, p), p.shape)

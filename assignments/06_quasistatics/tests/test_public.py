@@ -68,7 +68,7 @@ def sensitivity(student, theirs, body, p, rng):
     x, direction = rest(body, body.start(), p), rng.normal(size=len(p))
     found = compare.array("dx*/dp", student.call("sensitivity", theirs, x, p), (len(x), len(p)))
     expected = slope(lambda p: beside(body, x, p), p, direction)
-    compare.close("dx*/dp", found @ direction, expected, 1e-6)
+    compare.close("dx*/dp along one direction", found @ direction, expected, 1e-6)
 
 
 def test_sensitivity(student):
