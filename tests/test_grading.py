@@ -256,6 +256,17 @@ def test_a_loop_without_end_ends_here_too(loop: str, tmp_path: Path) -> None:
     assert signal.getsignal(signal.SIGALRM) is before
 
 
+def test_a_wrong_answer_is_told_what_it_is_instead() -> None:
+    right = np.array([[1.0, 2.0], [0.5, -3.0]])
+    for wrong, words in ((-right, r"\. Yours is -1 times what"), (0.5 * right, r"\. Yours is 0\.5 times what"),
+                         (right.T, r"\. Yours is the transpose"), (right + 1e-5, r"allowed is 1e-09$"),
+                         (0 * right, r"allowed is 1e-09$"), (right + np.eye(2), r"allowed is 1e-09$"),
+                         (right * (1 + 1e-5), r"allowed is 1e-09$"), (1e200 * right, "1e.200 times what"),
+                         (np.full((2, 2), 1e308), r"allowed is 1e-09$")):  # fmt: skip
+        with pytest.raises(ItemLost, match=words):
+            compare.close("A", wrong, right, 1e-9)
+
+
 def test_what_is_imported_that_is_not_there() -> None:
     source = "import os, pandas\nfrom scipy import linalg\nimport kit\ndef f():\n    from dsim.grading import items\n"
     assert submission.foreign_imports(source) == [(1, "pandas"), (5, "dsim.grading")]

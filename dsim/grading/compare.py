@@ -61,8 +61,24 @@ def close(name: str, value: Any, expected: Any, tolerance: float) -> Array:
         picture = Entries(name, expected, found, tolerance * scale) if expected.size > 1 else None
         allowed = f"allowed is {tolerance:.0e}" if tolerance else "it must be exactly what it should be"
         beside = f" of the largest entry, {scale:.3g}" if scale > 1 else ""
-        raise ItemLost(f"{name} is off by {error:.1e}{beside}; {allowed}", error, tolerance, picture)
+        words = f"{name} is off by {error:.1e}{beside}; {allowed}{_likeness(found, expected, tolerance * scale)}"
+        raise ItemLost(words, error, tolerance, picture)
     return found
+
+
+def _likeness(found: Array, expected: Array, allowed: float) -> str:
+    """What a wrong answer is instead, where that is easily said: a multiple, or the transpose."""
+    with np.errstate(all="ignore"):  # numbers may be of any size
+        square = float((expected**2).sum())
+        if expected.size < 2 or not 0 < square < np.inf:
+            return ""
+        factor = float((found * expected).sum()) / square
+        rest = float(np.abs(found - factor * expected).max())
+    if 1e-3 < min(abs(factor), abs(factor - 1)) < np.inf and rest <= allowed * max(1.0, abs(factor)):
+        return f". Yours is {factor:.4g} times what is expected"
+    if expected.ndim == 2 and expected.shape[0] == expected.shape[1] and np.abs(found.T - expected).max() <= allowed:
+        return ". Yours is the transpose of what is expected"
+    return ""
 
 
 def at_most(name: str, error: float, tolerance: float, picture: Picture | None = None) -> None:
