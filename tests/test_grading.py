@@ -540,3 +540,16 @@ def test_an_assignment_that_lacks_a_file_is_told(tmp_path: Path) -> None:
     shutil.copytree(ASSIGNMENT, tmp_path / "03_tiny")
     with pytest.raises(ValueError, match=r"03_tiny must hold handout\.md"):
         folder.find("3", folder.root(tmp_path))
+
+
+def test_grades_of_one_assignment_are_not_overwritten_by_another(tmp_path: Path) -> None:
+    other = tmp_path / "02_other"
+    shutil.copytree(ASSIGNMENT, other)
+    file = tmp_path / "me.py"
+    file.write_text(SOLUTION)
+    grading.grade(ASSIGNMENT, [file], tmp_path / "out", sandboxed=False)
+    before = (tmp_path / "out" / "grades.csv").read_bytes()
+    with pytest.raises(ValueError, match=f"holds those of {ASSIGNMENT.name}"):
+        grading.grade(other, [file], tmp_path / "out", sandboxed=False)
+    assert (tmp_path / "out" / "grades.csv").read_bytes() == before
+    grading.grade(ASSIGNMENT, [file], tmp_path / "out", sandboxed=False)

@@ -24,6 +24,7 @@ from dsim.pictures.files import write_atomically
 
 Say = Callable[[int, int, str], None]  # (done, total, name)
 SECRET = ".dsim-secret"
+ASSIGNMENT = ".dsim-assignment"  # in a directory of grades: whose they are
 AHEAD = 4  # submissions handed to each process before it asks again: memory does not grow with the class
 
 
@@ -98,6 +99,7 @@ def grade(
         jobs.prove(sandboxed)
     elif sandboxed:
         check_sandbox()
+    _of_one_assignment(to, assignment.resolve().name)
     secret = secret_of(to / SECRET)
     rubrics.checks(items, assignment / "tests", secret)  # a mistake of ours shows before the first submission
     missing = [path for path in submissions if results.read(to / results.folder_of(path), items, sandboxed) is None]
@@ -112,6 +114,15 @@ def grade(
     rows = [row for _, row in graded if row is not None]
     results.write_class(rows, items, to, results.remarks([folder for folder, row in graded if row is not None]))
     return [dict(row) for row in rows]
+
+
+def _of_one_assignment(to: Path, name: str) -> None:
+    """Raises ValueError where `to` holds grades of another assignment: a wrong number would overwrite them."""
+    place = to / ASSIGNMENT
+    if not place.is_file():
+        write_atomically(place, name.encode())
+    elif (held := place.read_text(encoding="utf-8", errors="replace")) != name:
+        raise ValueError(f"--to must not hold grades of another assignment; {to} holds those of {printable(held)[:60]}")
 
 
 def _graded(tasks: Iterator[Task], jobs: int) -> Iterator[str]:
