@@ -386,7 +386,7 @@ def test_what_is_no_file_is_refused_at_once(kind: str, tmp_path: Path) -> None:
 
 
 NAMES = (
-    "..", ".", ".dsim-secret", "grades.csv", "summary.md", "=HYPERLINK(1)", "a\nb", "a\x1b[2Jb", "<img src=x>", "a b",
+    "..", ".", ".dsim-assignment", ".dsim-secret", "grades.csv", "summary.md", "=HYPERLINK(1)", "a\nb", "a\x1b[2Jb", "<img src=x>", "a b",
     "[full marks](http:)", "-rf", "ünï", "a\udcffb", "x" * 240, "CON", "a'b", 'a"b', "a;b", "%2e%2e",
 )  # fmt: skip
 
@@ -401,7 +401,8 @@ def test_no_name_of_a_file_does_anything(tmp_path: Path) -> None:
         rows = grading.grade(ASSIGNMENT, grading.submissions_in(directory), to, sandboxed=False)
         assert [row["score"] for row in rows] == [RIGHT] * len(NAMES)
     assert len(list(to.glob("*/results.json"))) == len(NAMES)
-    assert sorted(path.name for path in to.iterdir() if path.is_file()) == [".dsim-secret", "grades.csv", "summary.md"]
+    ours = [".dsim-assignment", ".dsim-secret", "grades.csv", "summary.md"]
+    assert sorted(path.name for path in to.iterdir() if path.is_file()) == ours
     assert [path.name for path in to.parent.iterdir()] == ["grades"]
     table = (to / "grades.csv").read_bytes().decode()
     assert len(table.splitlines()) == 1 + len(NAMES) and "\x1b" not in table and "\n=" not in table
