@@ -386,7 +386,8 @@ def test_what_is_no_file_is_refused_at_once(kind: str, tmp_path: Path) -> None:
 
 
 NAMES = (
-    "..", ".", ".dsim-assignment", ".dsim-secret", "grades.csv", "summary.md", "=HYPERLINK(1)", "a\nb", "a\x1b[2Jb", "<img src=x>", "a b",
+    "..", ".", ".dsim-assignment",
+    ".dsim-secret", "grades.csv", "summary.md", "=HYPERLINK(1)", "a\nb", "a\x1b[2Jb", "<img src=x>", "a b",
     "[full marks](http:)", "-rf", "ünï", "a\udcffb", "x" * 240, "CON", "a'b", 'a"b', "a;b", "%2e%2e",
 )  # fmt: skip
 
