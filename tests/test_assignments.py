@@ -56,6 +56,9 @@ def test_an_unfair_assignment_is_found(tmp_path: Path) -> None:
                 "alternative loops loses nothing; lost", "mutant drag_pushes loses energy; lost forces")  # fmt: skip
     for words in expected:
         assert any(words in line for line in red), (words, red)
+    mutant.write_text(mutant.read_text().replace("# loses: energy", "# loses: energi"))
+    with pytest.raises(ValueError, match=r"drag_pushes\.py loses energi, no item of the rubric; items: forces, "):
+        list(selfcheck(assignment))
 
 
 def test_a_stub_is_made_from_the_solution() -> None:

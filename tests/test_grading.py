@@ -150,10 +150,14 @@ def test_a_rubric_is_closed(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "change, words",
     [
-        (("points = 2", "points = -2"), "points and timeout of double"),
-        (("points = 2", 'points = "2"'), "points of item 1 must be given"),
+        (("points = 2", "points = -2"), r"points of item 1 \(double\) must be above 0; got -2"),
+        (("points = 2", 'points = "2"'), r"points of item 1 \(double\) must be a whole number; got '2'"),
         (('id = "solve"', 'id = "double"'), "every id must be there once"),
-        (('visible = "public"', 'visible = "secret"'), "visible public or hidden"),
+        (
+            ('visible = "public"', 'visible = "secret"'),
+            'visible of item 1 .* must be "public" or "hidden"; got \'secret\'',
+        ),
+        (('hint = "A x = b."', ""), r"hint of item 2 \(solve\) must be a text; got None"),
         (('hint = "A x = b."', 'hint = "A x = b."\nweight = 3'), "fields nobody knows: weight"),
         (("[[item]]", "[[item"), "must be a TOML file"),
     ],
@@ -292,6 +296,8 @@ def test_a_file_that_stops_while_it_is_loaded_is_told_once(tmp_path: Path) -> No
     text = results.feedback(results.Graded("me", outcomes))
     assert text.count("nothing_like_this") == 1 and "every item ended like this" in text and "Hint" not in text
     assert [outcome.hinted for outcome in outcomes] == [False] * 3
+    partly = tuple(items.Outcome(outcome.item, 1.0, "off by 1") for outcome in outcomes)
+    assert results.alike(outcomes) and not results.alike(partly)  # what earned something was checked
     assert all(
         "nothing_like_this" in test["output"] for test in results.as_gradescope(results.Graded("me", outcomes))["tests"]
     )

@@ -73,6 +73,11 @@ class Gradable(Protocol):
 FIELDS: dict[str, Any] = {"id": str, "title": str, "points": int, "visible": str, "timeout": (int, float), "hint": str}
 
 
+KINDS = {"points": "a whole number", "timeout": "a number of seconds"} | dict.fromkeys(
+    ("id", "title", "visible", "hint"), "a text"
+)
+
+
 def rubric(path: Path) -> tuple[Item, ...]:
     """The items of rubric.toml.  Raises ValueError that names the file, the item and the field."""
     try:
@@ -85,13 +90,19 @@ def rubric(path: Path) -> tuple[Item, ...]:
     for number, row in enumerate(rows, start=1):
         for name, kind in FIELDS.items():
             if not isinstance(row.get(name), kind) or isinstance(row.get(name), bool):
-                raise ValueError(f"{path}: {name} of item {number} must be given, and right; got {row.get(name)!r}")
+                raise ValueError(
+                    f"{path}: {name} of item {number} ({row.get('id')}) must be {KINDS[name]}; got {row.get(name)!r}"
+                )
         if unknown := sorted(row.keys() - FIELDS.keys()):
             raise ValueError(f"{path}: item {number} has fields nobody knows: {', '.join(unknown)}")
-        if not re.fullmatch(r"[a-z][a-z0-9_]*", row["id"]) or row["visible"] not in ("public", "hidden"):
-            raise ValueError(f"{path}: id of item {number} must be a word, visible public or hidden; got {row!r:.80}")
-        if row["points"] <= 0 or not 0 < row["timeout"] <= WHOLE:
-            raise ValueError(f"{path}: points and timeout of {row['id']} must be above 0; got {row!r:.80}")
+        for name, good, rule in (
+            ("id", re.fullmatch(r"[a-z][a-z0-9_]*", row["id"]), "a word of small letters, digits and _"),
+            ("visible", row["visible"] in ("public", "hidden"), '"public" or "hidden"'),
+            ("points", row["points"] > 0, "above 0"),
+            ("timeout", 0 < row["timeout"] <= WHOLE, f"above 0 and at most {WHOLE:g} s"),
+        ):
+            if not good:
+                raise ValueError(f"{path}: {name} of item {number} ({row['id']}) must be {rule}; got {row[name]!r}")
         items.append(Item(**row))
     if len({item.id for item in items}) < len(items):
         raise ValueError(f"{path}: every id must be there once")

@@ -72,8 +72,8 @@ def told(outcome: Outcome, why: Callable[[str], str] = str) -> str:
 
 
 def alike(outcomes: Sequence[Outcome]) -> str:
-    """Why every item ended, where all did in one and the same way: a file that stops while it is loaded, say."""
-    reasons = {outcome.why if outcome.lost else "" for outcome in outcomes}
+    """Why every item scored nothing, where all did in the same way: a file that stops while it is loaded, say."""
+    reasons = {outcome.why if outcome.score == 0 else "" for outcome in outcomes}
     return reasons.pop() if len(outcomes) > 1 and len(reasons) == 1 else ""
 
 

@@ -56,9 +56,10 @@ def selfcheck(
         match = LOSES.match(source)
         if match is None:
             raise ValueError(f"{path} must say in its first line which items it loses: # loses: id, id")
-        yield _lost(
-            subject, f"mutant {path.stem}", outcomes(assignment, source), set(re.split(r",\s*", match[1].strip()))
-        )
+        named, known = set(re.split(r",\s*", match[1].strip())), [item.id for item in rows]
+        if unknown := sorted(named - set(known)):
+            raise ValueError(f"{path} loses {', '.join(unknown)}, no item of the rubric; items: {', '.join(known)}")
+        yield _lost(subject, f"mutant {path.stem}", outcomes(assignment, source), named)
 
 
 def _lost(subject: str, what: str, found: list[Outcome], expected: set[str]) -> Check:

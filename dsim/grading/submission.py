@@ -86,10 +86,11 @@ def foreign_imports(source: str) -> list[tuple[int, str]]:
     """(line, module) of imports that fail where it is graded: of anything but Python's own, numpy, scipy and kit."""
     found = []
     for node in ast.walk(ast.parse(source)):
-        names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
-        names += [node.module] if isinstance(node, ast.ImportFrom) and node.module and not node.level else []
-        found += [(node.lineno, name) for name in names if name.split(".")[0] not in THERE]  # type: ignore[attr-defined]
-    return sorted(found)
+        if isinstance(node, ast.Import):
+            found += [(node.lineno, alias.name) for alias in node.names]
+        elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
+            found.append((node.lineno, node.module))
+    return sorted((line, name) for line, name in found if name.split(".")[0] not in THERE)
 
 
 def unwritten(source: str) -> list[str]:

@@ -46,6 +46,7 @@ def read(lecture: Lecture) -> Any:
 
 
 def tags(cell: Any) -> list[str]:
+    """The tags of a cell, none where it has no list of them."""
     return list(cell.metadata.get("tags", ()))
 
 

@@ -43,6 +43,7 @@ def truss(load: float) -> System:
 
 
 def apex_at(height: float) -> Array:
+    """q (6,) m of the truss with its apex on the middle line at this height, m."""
     return np.array([-1.0, 0.0, 0.0, height, 1.0, 0.0])
 
 

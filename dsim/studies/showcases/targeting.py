@@ -38,6 +38,7 @@ def gusts(t: float, x: Array) -> Array:
 
 
 def gusts_jacobian(t: float, x: Array) -> Array:
+    """d gusts/dx (N,3,3), 1/s."""
     slope = np.zeros((len(x), 3, 3))
     slope[:, 0, 2] = -2 / np.cosh(x[:, 2] / 2) ** 2
     slope[:, 1, 2] = 1.25 * np.sin(2 * t) / np.cosh(x[:, 2] / 2) ** 2
